@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core import safety
 from ..core.arrays import Floats, Ints, SpringTable
 from ..core.loops import PARTS
 from ..core.records import Shape, assign, collect
@@ -15,8 +16,6 @@ from . import broad, closest
 from . import kernels as k
 from .model import ANY, FACE, HISTORY, Candidates, Meeting, Nodes, Points, motion, new_history
 
-# Of a step: a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node.
-WITH_SECOND = 0.8
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
@@ -132,11 +131,11 @@ class Contact:
 
     def stable_dt(self, softness: float, lightest: float, body: int = 0) -> float:
         """Stable time step (s) of the springs between points of a body, of inverse mass `softness` (1/kg), and nodes (lightest: kg)."""
-        return float(WITH_SECOND * 2.0 / np.sqrt(self.stiffness[body] * (softness + 1.0 / lightest)))
+        return float(safety.CONTACT * 2.0 / np.sqrt(self.stiffness[body] * (softness + 1.0 / lightest)))
 
     def mass_for(self, step: float) -> float:
         """The mass (kg) of points and nodes with which the springs bear a step (s)."""
-        return 2.0 * float(self.stiffness.max(initial=0.0)) * (0.5 * step / WITH_SECOND) ** 2
+        return 2.0 * float(self.stiffness.max(initial=0.0)) * (0.5 * step / safety.CONTACT) ** 2
 
     # ---- search --------------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core import safety
 from ..core.arrays import Floats, Ints
 from .bond import Bond
 from .bond_kernels import in_contact
@@ -13,7 +14,6 @@ from .contact import Contact
 from .surfaces import Interface, Surfaces
 
 CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
-HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
 FEWEST = 3  # bonds: fewer hold a point or a line, about which a particle turns
 # ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
 SECURE = 4.0
@@ -73,7 +73,7 @@ class Hold:
         load_point, load = np.zeros(int(self.rows.max(initial=0)) + 1), np.zeros(len(mass))
         self.bond.load_on(load_point, load)
         omega2 = max(float(load_point.max()) * softness, float((load / mass).max()))
-        return HOLD_SAFETY * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
+        return safety.HOLD * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     @property
     def whole(self) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core import safety
 from ..core.arrays import occurring
 from ..core.loops import PARTS
 from ..core.records import Shape, assign, check_indices, collect, copied, new_rows, put
@@ -31,7 +32,6 @@ from .window import LAYER, Edge, layer, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
-COURANT = 0.85
 AHEAD = 1.5  # speed of the front of what is computed over that of sound
 LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
@@ -245,7 +245,7 @@ class Target:
         if springs is not None:
             load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
-        dt = COURANT * bound
+        dt = safety.ELEMENTS * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
                 self._highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))

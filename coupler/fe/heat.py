@@ -18,6 +18,7 @@ from typing import Annotated
 import numpy as np
 
 from ..compiling import njit
+from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.records import Shape, assign, collect
 from ..core.threads import share
@@ -27,7 +28,6 @@ from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
-CONDUCTION_SAFETY = 0.9
 LEAST = 4000  # elements or nodes in a range of a shared loop
 
 
@@ -85,7 +85,7 @@ class Conduction:
         self._sync_nodes(t)
         while left > 0.0:
             fastest = 4.0 * self._flows(t)
-            dt = left / ceil(left * fastest / (2.0 * CONDUCTION_SAFETY)) if fastest > 0.0 else left
+            dt = left / ceil(left * fastest / (2.0 * safety.CONDUCTION)) if fastest > 0.0 else left
             share(partial(self._lose_excess, t, dt), m, LEAST)
             self._means(t, self.own)
             share(partial(self._change_nodes, t, dt), n, LEAST)

@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple, Protocol
 import numpy as np
 
 from ..compiling import njit
+from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
 from ..core.records import Shape
@@ -26,8 +27,6 @@ from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces
 from .mesh import FiniteElements
 from .model import Cells, Metals
 
-FREQUENCY_SAFETY = 0.85
-LONGEST = 3.0  # times the element bound
 PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
 
@@ -213,4 +212,4 @@ class HighestFrequency:
             omega2 = np.sqrt(after / before)
             w *= 1.0 / np.sqrt(after / mass[:n].sum())
         self._warm = True
-        return float(min(max(FREQUENCY_SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))
+        return float(min(max(safety.MESH * 2.0 / np.sqrt(omega2), bound), safety.LONGEST * bound))

@@ -22,13 +22,14 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core import safety
 from ..core.arrays import Arrays
 from ..core.records import Rows
 from ..core.threads import together
 from ..errors import SolverError
 from . import enriched_kernels as k
 from .compiled import CompiledParticle, CompiledPoints
-from .frequency import LONGEST, PointFrequency
+from .frequency import PointFrequency
 from .inertia import CellInertia
 from .model import Residuals
 from .particle import LocalState
@@ -138,7 +139,7 @@ class EnrichedParticle(CompiledParticle):
             self._inertia.weigh(self.points.F, self.points.J)
         longest = self._frequency.longest_step(self._deformation.F, self.points.J, self.points.mode)
         bound = super().stable_dt()
-        return min(LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
+        return min(safety.LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
 
     def elastic(self) -> float:
         return super().elastic() + self.volume_of_point * float(self.points.unseen.sum())

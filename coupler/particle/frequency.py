@@ -24,7 +24,6 @@ from .compiled_kernels import gradient_of, stress_force
 from .enriched_kernels import ACROSS
 from .model import Pairs, Sides
 
-LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken
 Fetch = Callable[..., None]
 FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the chunk of steps before
 LEAST_POINTS = 2000  # in a range of a shared loop

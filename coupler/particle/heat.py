@@ -17,13 +17,13 @@ from math import ceil
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core import safety
 from ..core.loops import PARTS
 from ..core.threads import together
 from . import heat_kernels as k
 
 SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
 MIN_NEIGHBOURS = 10
-CONDUCTION_SAFETY = 0.9  # of the stable step
 
 
 class PointConduction:
@@ -54,7 +54,7 @@ class PointConduction:
         while left > 0.0:
             rates = np.zeros(PARTS)
             together(k.prepare, n, self.law, self.spacing, x, *operators, flow, rates)
-            dt = left / ceil(left * rates.max() / (2.0 * CONDUCTION_SAFETY))
+            dt = left / ceil(left * rates.max() / (2.0 * safety.CONDUCTION))
             together(k.conduct, n, dt, *operators, flow)
             left = left - dt if left > 1.5 * dt else 0.0
         return flow.gained.copy()

@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from mpi4py import MPI
 
+from ..core import safety
 from ..core.loops import PARTS
 from ..core.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
 from ..core.threads import share, together
@@ -42,9 +43,9 @@ class Numerics:
     Q2: float = 0.0
     hourglass: float = 1.0
     control: float = 0.0
-    courant: float = 0.4
-    stretch: float = 0.9
-    frequency: float = 0.85
+    courant: float = safety.COURANT
+    stretch: float = safety.STRETCH
+    frequency: float = safety.POINTS
     inertia: float = 0.0
 
 

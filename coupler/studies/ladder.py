@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from ..core import safety
 from ..deposition.run import resume, run
 from ..errors import SceneError, SolverError, StoreError
 from ..measures import CONVERGING
@@ -32,7 +33,7 @@ COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",
 )  # fmt: skip
-STEP = {"courant": 0.4, "stretch": 0.9, "frequency": 0.85}  # the defaults of `coupler.particle.particle.Numerics`
+STEP = {"courant": safety.COURANT, "stretch": safety.STRETCH, "frequency": safety.POINTS}
 # axis -> name in the table -> changed parameters of the scheme
 KNOBS: dict[str, dict[str, dict[str, float]]] = {
     "element size": {"1.2 spacings": {"element": 1.2}, "2.5 spacings": {"element": 2.5}},

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from ..core import safety
 from ..core.loops import PARTS
 from ..core.threads import share, together
 from ..fe.coarse import CoarseGrid
@@ -190,7 +191,7 @@ def _run_for(bodies: Bodies, time: float) -> float:
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
         _search(bodies, SEARCH_EVERY * t.stable_dt()[0])
-        dt = min(0.9 * bodies.stable_dt(1.0), left)
+        dt = min(safety.SETTLED * bodies.stable_dt(1.0), left)
         for _ in range(SEARCH_EVERY):
             t.advance(dt, is_conducting=False)
             bodies.forces(dt)

@@ -10,8 +10,9 @@ from coupler.contact.bond import Bond
 from coupler.contact.bond_kernels import yielding
 from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import interface
+from coupler.core import safety
 from coupler.errors import SolverError
-from coupler.fe import explicit, stability
+from coupler.fe import explicit
 from coupler.target.bodies import FOLDED, Bodies
 
 N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
@@ -596,5 +597,5 @@ def test_the_step_of_tied_blocks_is_that_of_springs_and_elements_together(pair: 
     exact = 2 / np.sqrt(factor)
     for _ in range(20):  # later calls start from the last vector
         step = t.stable_dt(1.0, springs=bond)[0]
-    assert step * (1 + explicit.LINEAR_VISCOSITY) / stability.FREQUENCY_SAFETY == pytest.approx(exact, rel=0.02)
+    assert step * (1 + explicit.LINEAR_VISCOSITY) / safety.MESH == pytest.approx(exact, rel=0.02)
     assert step > 1.05 * t.stable_dt(springs=bond)[0]

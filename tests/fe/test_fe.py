@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import elastic
 
+from coupler.core import safety
 from coupler.errors import SolverError
 from coupler.fe import explicit, kernels, mesh
 from coupler.fe.explicit import Target
@@ -133,7 +134,7 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
     K = 0.5 * (K + K.T)
     omega2 = eigh(K, np.diag(np.repeat(t.mass, 3)), eigvals_only=True)[-1]
     exact = 2 / np.sqrt(omega2)
-    bound = t.stable_dt()[0] / explicit.COURANT
+    bound = t.stable_dt()[0] / safety.ELEMENTS
     assert bound <= exact * 1.001
     assert bound > 0.3 * exact  # averaged pressure is softer than the element bound knows
     sharp = t.stable_dt(enough=1.0)[0]
