@@ -7,20 +7,20 @@ ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic what changes the la
 ZERO = (0.0,) * 9
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def matrix_of(a: Floats, i: int) -> Matrix:
     """Matrix i of a (n,9)."""
     return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5], a[i, 6], a[i, 7], a[i, 8]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def write_matrix(a: Floats, i: int, b: Matrix) -> None:
     """a[i] = b, a (n,9)."""
     for k in range(9):
         a[i, k] = b[k]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def sum_of(a: Matrix, b: Matrix) -> Matrix:
     """a + b."""
     return (

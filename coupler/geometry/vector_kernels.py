@@ -31,13 +31,13 @@ def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
     f[i, 2] += f2
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def vector_of(a: Floats, i: int) -> Vector:
     """a[i], a (n,3)."""
     return a[i, 0], a[i, 1], a[i, 2]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def apart(a: Floats, i: int, j: int) -> Vector:
     """a[j] - a[i], a (n,3)."""
     return a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
