@@ -68,7 +68,7 @@ def deadline(patience: float = PATIENCE) -> Callable[[Impact], None]:
     def probe(impact: Impact) -> None:
         if clock.process_time() - started > patience:
             at = f"{impact.time * 1e9:.1f} ns, dt {impact.particle.dt * 1e12:.2f} ps"
-            raise Slow(f"not done after {patience:.0f} s: at {at}")
+            raise Slow(f"did not finish within {patience:.0f} s: at {at}")
 
     return probe
 

@@ -136,20 +136,20 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         if needed_points > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
             raise AccuracyError(
-                f"--accuracy {accuracy} cannot be had: with {MOST} points the shape is still off by about {least:.2g} %; ask for that"
-                " or more (docs/evidence/accuracy.md)"
+                f"--accuracy {accuracy} cannot be reached: the error of the shape at {MOST} points, the most allowed, is about"
+                f" {least:.2g} %; give that or more (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:
             raise AccuracyError(
-                f"--accuracy {accuracy} needs {points} points and about {duration(needed)} here, more than --within"
-                f" {within}: allow that time, or less accuracy"
+                f"--accuracy {accuracy} needs {points} points and about {duration(needed)} on this machine, more than --within"
+                f" {within}: increase --within or --accuracy"
             )
     else:
         if (needed := takes(coarsest)) > limit:
             raise AccuracyError(
-                f"--within {within} is too short: at {coarsest} points, the coarsest there is, this scene takes about"
-                f" {duration(needed)} here; allow that, or end it earlier with [end]"
+                f"--within {within} is too short: at {coarsest} points, the fewest allowed, this scene takes about"
+                f" {duration(needed)} on this machine; increase --within, or reduce [end] time"
             )
         low, high = coarsest, max(MOST, coarsest)
         while high - low > 0.02 * high:

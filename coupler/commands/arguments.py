@@ -139,7 +139,7 @@ def share(text: str, option: str) -> float:
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
         raise StoreError(
-            f'{option} {text!r} is no uncertainty: expected a percentage above 0 and up to 100, such as "2%"'
+            f'{option} {text!r} is not an uncertainty: give a percentage above 0 and up to 100, such as "2%"'
         )
     return float(match.group(1)) / 100.0
 

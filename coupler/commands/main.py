@@ -300,7 +300,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     finally:
         progress.stop()
     if result.undecided is not None and is_first_rank():
-        hint = f"; go on with coldspray resume {out}" if result.at_limit else ""
+        hint = f"; continue with coldspray resume {out}" if result.at_limit else ""
         print(f"undecided: {result.undecided}{hint}", file=sys.stderr if arguments.quiet else sys.stdout)
     if not arguments.quiet and is_first_rank():
         from ..report import screen
@@ -402,7 +402,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
-    go_on = f"; go on with coldspray resume {out}" if saved else ""
+    go_on = f"; continue with coldspray resume {out}" if saved else ""
     if progress.time != progress.time:  # nan, also on a rank that does not know the time
         return ("stopped" if saved else "stopped before the first step") + go_on
     return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"

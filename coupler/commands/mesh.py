@@ -181,7 +181,9 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
             raise SplatError(f"the unit of x, y and z {problem}; or give --unit") from None
         return given
     if given is not None and given != named:
-        raise SplatError(f"--unit is not that of x, y and z in the file, {of_file}: leave it out, or mend the file")
+        raise SplatError(
+            f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
+        )
     if given is None:
         notes.append(f"coordinates in {of_file}, as their names say")
     return named
@@ -209,15 +211,17 @@ def estimated_spacing(x: "np.ndarray") -> float:
 
     if not np.isfinite(x).all():
         bad = np.flatnonzero(~np.isfinite(x).all(axis=1))
-        raise SplatError(f"x of {len(bad)} points is not a number (first: point {bad[0]}): remove or mend them")
+        raise SplatError(
+            f"x of {len(bad)} points is not a number (first: point {bad[0]}): remove or correct these points"
+        )
     k = np.arange(8, 25)
     if len(x) <= k[-1]:
-        raise SplatError(f"the cloud has {len(x)} points, too few for a body: use a finer resolution")
+        raise SplatError(f"the cloud has {len(x)} points, too few for a body: give a cloud with more points")
     distance = cKDTree(x).query(x, k=k[-1] + 1)[0][:, k]
     edge = distance * (4.0 / 3.0 * np.pi / (k + 0.5)) ** (1.0 / 3.0)
     spacing = float(np.percentile(edge.mean(axis=1), 25))
     if not spacing > 0.0:
-        raise SplatError("most points of the cloud lie on top of others: remove the doubles")
+        raise SplatError("most points of the cloud have the same coordinates as others: remove the duplicates")
     return spacing
 
 

@@ -45,7 +45,7 @@ def new(arguments: argparse.Namespace) -> int:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", out.stem):
         raise ColdsprayError(f"{out.stem}: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)")
     if out.exists() and not arguments.force:
-        raise ColdsprayError(f"{out} is there: add --force to replace it, or choose another name")
+        raise ColdsprayError(f"{out} exists: add --force to replace it, or choose another name")
     out.parent.mkdir(parents=True, exist_ok=True)
     if kind == "mesh":
         text = _points(out.stem)

@@ -60,12 +60,14 @@ def run(arguments: argparse.Namespace) -> int:
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
     if arguments.slurm and arguments.executor != "slurm":
-        raise PlacementError(f"--slurm is for --executor slurm; the executor is {arguments.executor}")
+        raise PlacementError(
+            f"--slurm needs --executor slurm, the executor is {arguments.executor}: leave --slurm out, or give --executor slurm"
+        )
     claim_folder(out, "sweep", OUTPUTS, force=None)
     if (others := of_another_scene(out, sweep.points)) and not arguments.force:
         raise StoreError(
             f"{out} holds results of {len(others)} points, such as {others[0]}, for another scene: name another folder with"
-            " --out, or compute them anew with --force"
+            " --out, or compute all points again with --force"
         )
     here = arguments.executor == "processes"
     jobs = jobs_of(arguments) if here else arguments.jobs or 1

@@ -39,7 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
     within, known = share(arguments.within, "--within"), gas.setup(arguments, "window", "--powder")
     small, median, large = known.diameters
     if not small <= median <= large:
-        raise SceneError([f"--powder {' '.join(arguments.diameter)}: D10, D50 and D90 must not fall"], "window")
+        raise SceneError(
+            [f"--powder {' '.join(arguments.diameter)}: give three diameters in ascending order, D10 D50 D90"], "window"
+        )
     metal = known.metals[arguments.material]
     base = known.metals[arguments.substrate] if arguments.substrate is not None else None
     spray = window.spray(metal, base, (small, median, large), lambda D: known.fly(metal, D))

@@ -59,7 +59,9 @@ class BodyContact:
         """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError where
         the number of bulk moduli is not that of the bodies."""
         if len(bulk_modulus) != surfaces.bodies:
-            raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
+            raise SolverError(
+                f"contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, got {len(bulk_modulus)}"
+            )
         self.surfaces = surfaces
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
         self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold

@@ -242,7 +242,9 @@ class Bond:
     def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
         """One set out of several of the same exponent, in their order; their energies are added. Raises SolverError otherwise."""
         if len({bond.exponent for bond in bonds}) != 1:
-            raise SolverError("bonds to be joined must be at least one and have one exponent of mixed modes")
+            raise SolverError(
+                "bonds to join: at least one set is needed, and all sets must have the same mixed-mode exponent"
+            )
         stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
         return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
@@ -276,6 +278,6 @@ def _check(bond: Bond) -> None:
     if short.any():
         least = float(full[short].max())
         raise SolverError(
-            f"a bond's fracture energy of {float(energy[short].min()):.3g} J/m2 is less than the {least:.3g} J/m2 its springs hold "
-            "at their strength: give more energy, 0 for a brittle bond, less strength, or a finer mesh"
+            f"a bond's fracture energy of {float(energy[short].min()):.3g} J/m2 is less than the {least:.3g} J/m2 that its spring "
+            "stores at its strength: give more energy, 0 for a brittle bond, less strength, or a finer mesh"
         )

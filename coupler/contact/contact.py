@@ -154,7 +154,7 @@ class Contact:
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
             raise SolverError(
-                "positions are no longer numbers: try a smaller time step, more points or smaller elements"
+                "positions of points or nodes are not finite numbers: try a smaller time step, more points or smaller elements"
             )
         closest.box_faces(x, self.faces)
         k.travel_on(0, len(self.spacing), self._motion, x, len(x))

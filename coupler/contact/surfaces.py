@@ -151,7 +151,7 @@ def interface(
     others = tuple(range(body)) if others is None else others
     nodes, ids = surfaces.nodes_of(body), surfaces.facets_of(*others)
     if not np.isfinite(x).all():
-        raise SolverError("positions of the bodies are no numbers: try a smaller time step or a finer preset")
+        raise SolverError("positions of the bodies are not finite numbers: try a smaller time step or a finer preset")
     own_ids = surfaces.facets_of(body)
     vectors, corners = surfaces.vectors(x, own_ids), surfaces.facets[own_ids]
     rows = np.searchsorted(nodes, corners)

@@ -57,7 +57,7 @@ def executor(
         return _mpi()
     if kind == "slurm":
         return _slurm(count, folder, {**SLURM, **(slurm or {})})
-    raise PlacementError(f"no executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
+    raise PlacementError(f"unknown executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
 
 
 class _Processes(ProcessPoolExecutor):
@@ -113,7 +113,9 @@ def _mpi() -> Executor:
 def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     """Pilot jobs (Babuji et al. 2019, doi:10.1145/3307681.3325400): each takes computations until none is left or its time is over."""
     if shutil.which("sbatch") is None:
-        raise PlacementError("there is no Slurm here: sbatch is not installed")
+        raise PlacementError(
+            "the executor slurm needs the command sbatch, which is not installed here: use a Slurm cluster, or another --executor"
+        )
     try:
         from parsl.concurrent import ParslPoolExecutor
         from parsl.config import Config
@@ -124,7 +126,9 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         raise PlacementError("the executor slurm needs Parsl: pip install coldspray[cluster]") from error
     cores = options.pop("cores")
     if not (cores.isdecimal() and int(cores) > 0):
-        raise PlacementError(f"--slurm cores={cores}: give the runs at a time in a job, one or more")
+        raise PlacementError(
+            f"--slurm cores={cores}: give a whole number of at least 1: runs computed at the same time in one Slurm job"
+        )
     at_once, time = min(int(cores), count), options.pop("time")
     if not re.fullmatch(r"\d+:\d\d:\d\d", time):
         raise PlacementError(f"--slurm time={time}: give hours, minutes and seconds, such as 04:00:00")

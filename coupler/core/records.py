@@ -174,4 +174,4 @@ def check_indices(record: object, **counts: int) -> None:
     for name, spec in shapes_of(record).items():
         value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):
-            raise CheckpointError(f"a state does not fit: {name} points at {spec.index_of} that are not there")
+            raise CheckpointError(f"a state does not fit: {name} refers to {spec.index_of} that do not exist")

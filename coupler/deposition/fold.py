@@ -218,7 +218,7 @@ class Deposition:
         self.records, self.joins = state.records, state.joins
         self._began -= state.wall
         if len(self.joins) != len(self.records) or len(self.records) > len(self.plan.impacts):
-            raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
+            raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start again with coldspray run --force")
         target = restored_target(self.plan, state.bodies)
         self._check_records(target)
         self._resumed = state if state.within is not None else None
@@ -231,8 +231,8 @@ class Deposition:
                 raise ValueError(problem)
         except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
             raise CheckpointError(
-                f"the checkpoint in {self.folder} is damaged (its records: {type(error).__name__} {error}): start anew with"
-                " coldspray run --force"
+                f"the checkpoint in {self.folder} is damaged (its records of impacts: {type(error).__name__} {error}): start again"
+                " with coldspray run --force"
             ) from error
 
     def _catch_up(self, batch: Batch, target: Bodies) -> None:

@@ -73,8 +73,8 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     kinetic_0 = float(record["kinetic_energy_0_J"])
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
-            f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
-            f" may still be set free, {RELAXED:.0e} is sought"
+            f"after impact {i + 1} the bodies are not quite in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of its kinetic"
+            f" energy can still be released, the aim is {RELAXED:.0e}"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
     report |= {
@@ -84,8 +84,8 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     }
     if report["released"] > RELEASED_BOUND:
         raise SolverError(
-            f"splat {i + 1} set free {report['released']:.2%} of the kinetic energy as it joined, allowed {RELEASED_BOUND:.1%}:"
-            " try a finer preset, or another [splat] method"
+            f"splat {i + 1} released {report['released']:.2%} of the kinetic energy when it joined the target,"
+            f" allowed {RELEASED_BOUND:.1%}: try a finer preset, or another [splat] method"
         )
     return new, report
 

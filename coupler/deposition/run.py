@@ -127,7 +127,7 @@ def resume(
         return _complete(result, None if measured else Companions(decided, folder, knobs, _alone), options)
     if result.finished and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
-            f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
+            f"impact {len(result.impacts)} is computed up to {float(result.end['time_s']) * 1e9:.4g} ns: give a later --until"
         )
     if until is not None and not (result.finished and checkpoint.stored(folder)):
         why = (

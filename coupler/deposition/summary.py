@@ -110,17 +110,17 @@ def unsettled(report: Values) -> list[str]:
     """Warnings where equilibrium or ambient was given up, of the report of a joining with its pause, or of the closing stage."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
         return [
-            f"in the closing stage the bodies have come to within {off:.0f} K of ambient only: they go on to yield as they cool"
+            f"in the closing stage the bodies still differ by {off:.0f} K from ambient: they yield as they cool, which heats them"
         ]
     pause = report.get("cooling", {})
     steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]
     steps += [pause.get(name, 0) for name in ("balance_steps", "then_settle_steps")]
     if max(steps) < RELAX_STEPS:
         return []
-    when, then = "in the closing stage", "stresses are not quite residual ones"
+    when, then = "in the closing stage", "the stresses are not exactly residual stresses"
     if "impact" in report:
-        when, then = f"after impact {report['impact']}", "later pauses relax what is left"
-    return [f"{when} the bodies have not come to equilibrium in {RELAX_STEPS} steps: {then}"]
+        when, then = f"after impact {report['impact']}", "the pauses that follow reduce the imbalance"
+    return [f"{when} the bodies have not reached equilibrium in {RELAX_STEPS} steps: {then}"]
 
 
 def _detached(reports: Sequence[Values]) -> dict[int, float]:

@@ -112,7 +112,7 @@ def cool(
             stage, failed = cg(conduct, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
             if failed:
                 raise SolverError(
-                    "the heat conduction of the pause does not converge: give a shorter dwell or a finer preset"
+                    "the heat conduction in the pause between impacts does not converge: give a shorter dwell or a finer preset"
                 )
             # what the solver has left of the whole heat, spread over all nodes
             stage += free * (np.sum(b - conduct @ stage) / (free @ (conduct @ free)))

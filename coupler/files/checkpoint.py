@@ -59,7 +59,7 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise StoreError(
-            f"cannot write {path}: {error.strerror or error}; make room, then go on with coldspray resume {directory}"
+            f"cannot write {path}: {error.strerror or error}; free some space, then continue with coldspray resume {directory}"
         ) from error
     for _, old in stored(directory)[:-KEPT]:
         old.unlink(missing_ok=True)
@@ -97,7 +97,7 @@ def latest(
             if log is not None:
                 log(f"{error}; trying the one before")
     if damaged:
-        raise CheckpointError(f"no checkpoint in {directory} is whole: start anew with coldspray run --force")
+        raise CheckpointError(f"no checkpoint in {directory} can be read: start again with coldspray run --force")
     return None
 
 
@@ -125,13 +125,13 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
     if header["format"] != FORMAT:
         raise OtherVersion(
             f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
-            f" reads format {FORMAT}: go on with that version, or start anew with coldspray run --force"
+            f" reads format {FORMAT}: continue with that version, or start again with coldspray run --force"
         )
     for key, wanted in about.items():
         if its.get(key) != wanted:
             raise OtherVersion(
                 f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
-                " go on with that one, or start anew with coldspray run --force"
+                " continue with that one, or start again with coldspray run --force"
             )
 
 
@@ -146,14 +146,14 @@ def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[st
         return {"list": [_flatten(item, f"{name}/{i}", arrays) for i, item in enumerate(value)]}
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
-            raise TypeError(f"{name} holds objects")
+            raise TypeError(f"{name} is an array of Python objects: a checkpoint stores numbers and texts only")
         arrays[name] = value
         return {"array": name}
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, str)):
         return {"value": value}
-    raise TypeError(f"{name}: a checkpoint cannot hold {type(value).__name__}")
+    raise TypeError(f"{name}: a checkpoint cannot store a {type(value).__name__}")
 
 
 def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -> Any:
@@ -168,7 +168,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
             empty = "value" in tree and tree["value"] is None
             chosen = [o for o in options if (o is type(None)) == empty and (wanted is None) != is_dataclass(o)]
         if len(chosen) != 1:
-            raise ValueError(f"{name} is none of {hint}")
+            raise ValueError(f"{name or 'the state'} has the wrong type, expected {hint}")
         return _decode(chosen[0], tree, arrays, name)
     if isinstance(hint, type) and is_dataclass(hint):
         kinds = {kind.__name__: kind for kind in _kinds(hint)}
@@ -176,7 +176,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
         parts, hints = _part(tree, "record", name), get_type_hints(hint)
         if set(parts) != {f.name for f in fields(hint)}:
             raise ValueError(
-                f"{name or 'the state'} has the fields {_short(sorted(parts))}, not those of {hint.__name__}"
+                f"{name or 'the state'} has the fields {_short(sorted(parts))}, expected the fields of {hint.__name__}"
             )
         values = {key: _decode(hints[key], part, arrays, f"{name}/{key}") for key, part in parts.items()}
         for key, spec in shapes_of(hint).items():
@@ -196,7 +196,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
     if hint is float and type(value) is int:
         return float(value)
     if type(value) is not (type(None) if hint is None else hint):
-        raise ValueError(f"{name} is no {getattr(hint, '__name__', hint)}")
+        raise ValueError(f"{name} is not of the type {getattr(hint, '__name__', hint)}")
     return value
 
 
@@ -208,7 +208,7 @@ def _kinds(record: type[object]) -> list[type[object]]:
 
 def _part(tree: object, kind: str, name: str) -> Any:
     if not isinstance(tree, dict) or kind not in tree:
-        raise ValueError(f"{name or 'the state'} is no {kind}")
+        raise ValueError(f"{name or 'the state'} is not a {kind}")
     return tree[kind]
 
 
@@ -224,7 +224,7 @@ def _plain(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
 def _check(value: np.ndarray, spec: Shape, name: str) -> None:
     fits = value.ndim == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, value.shape, strict=True))
     if value.dtype != spec.dtype or not fits:
-        raise ValueError(f"{name} is an array {value.shape} of {value.dtype}, not {spec.shape} of {spec.dtype}")
+        raise ValueError(f"{name} is an array {value.shape} of {value.dtype}, expected {spec.shape} of {spec.dtype}")
 
 
 def _short(value: object) -> str:

@@ -53,7 +53,7 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
     if size > LARGEST_FILE:
         raise InputError(path, f"is larger than {LARGEST_FILE // 1024**3} GiB")
     if columns is not None and kind not in TEXT:
-        raise InputError(path, f"has no columns to name: only {', '.join(TEXT)} have")
+        raise InputError(path, f"has no named columns: leave --columns out, it is for {', '.join(TEXT)}")
     if kind in SURFACES and len(read_surface(path)[1]):
         raise InputError(path, SURFACE)
     try:
@@ -82,7 +82,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
     with open_input(path) as stream, zipfile.ZipFile(stream) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         if len(members) > _MOST_ARRAYS:
-            raise ValueError(f"it has {len(members)} arrays")
+            raise ValueError(f"it has {len(members)} arrays, too many")
         heads = {}
         for name, member in members.items():
             with archive.open(member) as file:
@@ -109,7 +109,7 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
         raise ValueError(f"it has an array of version {version}")
     shape, _, dtype = read(file)
     if dtype.hasobject or any(length < 0 for length in shape):
-        raise ValueError("it holds objects, or a negative number of rows")
+        raise ValueError("it has an array of Python objects, or of a negative length")
     return shape, dtype
 
 
@@ -129,7 +129,7 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
         if count > len(lines):
-            raise ValueError(f"it promises {count} points and has {len(lines)} lines of them")
+            raise ValueError(f"its first line states {count} points, {len(lines)} lines follow")
         text = "\n".join(lines[:count])
     table = read_table(text, columns)
     axes = {_AXES[name.lower()]: name for name in table.columns if name.lower() in _AXES}
@@ -140,7 +140,9 @@ def _table(path: Path, columns: list[str] | None) -> Points:
         )
     units = {table.units.get(name, "") for name in axes.values()}
     if len(units) > 1:
-        raise ValueError(f"x, y and z have different units: {', '.join(sorted(units))}")
+        raise ValueError(
+            f"x, y and z have different units: {', '.join(sorted(units))}: give the same unit for all three"
+        )
     fields = {name: values for name, values in table.columns.items() if name not in axes.values()}
     return Points(
         np.stack([table.columns[axes[axis]] for axis in "xyz"], axis=1),

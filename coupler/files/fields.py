@@ -54,7 +54,7 @@ def opened(path: Path) -> Iterator["Root"]:
     except PermissionError as error:
         raise UnreadableError(f"{path} cannot be read: no permission") from error
     except Exception as error:  # h5py raises whatever comes up on a damaged file
-        raise StoreError(f"{path} is damaged or not a file of ours: {error}") from error
+        raise StoreError(f"{path} is damaged or not a coldspray file: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Root:
         row = math.prod(data.shape[1:]) * data.dtype.itemsize
         chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
         if max(count * row, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
-            raise ValueError(f"{name} claims more data than the file can hold")
+            raise ValueError(f"{name} states more data than the file contains")
         require_memory(3 * count * row + chunk, f"to read {name} of {self.path}")
         return data[start : start + count]
 
@@ -88,7 +88,7 @@ class Root:
             raise ValueError(f"{name} has an unexpected type or shape")
         end = len(data) if count is None else start + count
         if not 0 <= start <= end <= len(data):
-            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {end} are asked for")
+            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {end} are needed")
         return data
 
     def number(self, name: str, row: int) -> int:
@@ -101,10 +101,10 @@ class Root:
 def child(group: h5py.Group, name: str, kind: type[H]) -> H:
     # A link may lead into another file of the reader's machine; ours never do.
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise ValueError(f"{name} is missing or leads elsewhere")
+        raise ValueError(f"{name} is missing or a link to another file")
     item = group[name]
     if not isinstance(item, kind):
-        raise ValueError(f"{name} is not what it should be")
+        raise ValueError(f"{name} is not an HDF5 {kind.__name__.lower()}")
     return item
 
 
@@ -130,16 +130,16 @@ def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
     types = root.rows("Types", root.number("Steps/CellOffsets", step), cell_count, kinds="iu")
     kind = int(types[0]) if cell_count else 1
     if points.ndim != 2 or points.shape[1] != 3 or kind not in CELL_COLUMNS or (types != kind).any():
-        raise ValueError("points or cell types are not what they should be")
+        raise ValueError("points are not an array (n, 3), or cells are of an unknown type or of several types")
     if (np.abs(points) > FARTHEST).any():
         raise ValueError(f"points lie more than {FARTHEST:g} m from the origin")
     columns = CELL_COLUMNS[kind]
     if id_count != columns * cell_count:
-        raise ValueError("connectivity does not fit the cells")
+        raise ValueError("the connectivity must have {columns} points for each of {cell_count} cells")
     start = root.number("Steps/ConnectivityIdOffsets", step)
     cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
     if cells.size and (cells.min() < 0 or cells.max() >= point_count):
-        raise ValueError("cells refer to points that are not there")
+        raise ValueError("cells refer to points that do not exist")
     data: dict[str, NDArray] = {}
     for group, count in (("CellData", cell_count), ("PointData", point_count)):
         for name in root.names(group):

@@ -80,7 +80,7 @@ def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
     """Open a regular file for reading. limit: bytes at most. Raises InputError."""
     size = check_regular(path)
     if limit is not None and size > limit:
-        raise InputError(path, f"is larger than {_bytes(limit)}: not a file for this program")
+        raise InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
     try:
         return os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except OSError as error:
@@ -100,7 +100,9 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(path, f"is not text in UTF-8 (byte {error.start}): not a file for this program") from None
+        raise InputError(
+            path, f"is not text in UTF-8 (byte {error.start}): save it in UTF-8, or give another file"
+        ) from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:

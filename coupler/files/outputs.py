@@ -64,7 +64,7 @@ def claim_folder(
         )
     if folder.is_symlink() and not force and kind_of(folder) != kind and any(folder.iterdir()):
         raise StoreError(
-            f"{folder} is a link to {folder.resolve()}, a folder with files that are not of coldspray: choose {ELSEWHERE}"
+            f"{folder} is a link to {folder.resolve()}, a folder with files that coldspray did not write: choose {ELSEWHERE}"
             + ("" if force is None else f", or add {REPLACE}")
         )
     if kind_of(folder) not in ("", kind) and not force:

@@ -153,7 +153,7 @@ class Result:
         """
         path = self._path(domain)
         if not path.is_file():
-            raise StoreError(f"{path} is missing: the run stored nothing of the {domain}")
+            raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")
         with opened(path) as root:
             times = times_of(root)
             if not -len(times) <= step < len(times):
@@ -197,7 +197,7 @@ class Result:
         written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
         if written != len(values):
             path = self.directory / HISTORY
-            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written}")
+            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written} rows")
         table = {name: values[:, number].copy() for number, name in enumerate(names)}
         if column is None:
             return table

@@ -164,7 +164,9 @@ class Store:
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
-            log(f"{path} cannot be read, it starts anew at the checkpoint; what was there is in {kept.name} ({error})")
+            log(
+                f"{path} cannot be read ({error}): the file begins again at the checkpoint, the old one is kept as {kept.name}"
+            )
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
         os.replace(part, path)

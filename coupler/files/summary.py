@@ -34,7 +34,7 @@ def read_summary(path: Path) -> Summary:
     if form != FORMAT:
         raise StoreError(
             f"{path} has format {str(form)[:40]} (version {version}), this version reads format {FORMAT}: open it with that version,"
-            " or compute the scene anew"
+            " or compute the scene again"
         )
     if (problem := problem_of(data)) is not None:
         raise StoreError(f"{path} is damaged: {problem}")

@@ -45,7 +45,7 @@ def read_surface(path: Path) -> Surface:
     """
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
-        raise InputError(path, f"is no surface: its name must end in {', '.join(SURFACES)}")
+        raise InputError(path, f"is not a file of a surface: its name must end in {', '.join(SURFACES)}")
     if size > LARGEST_SURFACE:
         raise InputError(path, f"is larger than {LARGEST_SURFACE // 1024**2} MiB: decimate the surface")
     require_memory(_MEMORY * size, f"to read {path}")
@@ -72,7 +72,7 @@ def _stl(raw: bytes) -> Surface:
         count = int.from_bytes(raw[80:_HEAD], "little")
         room = (len(raw) - _HEAD) // _STL.itemsize
         if room < 1:
-            raise ValueError("it is neither a text, with facets, nor long enough for a binary file")
+            raise ValueError("it is neither a text STL with facets nor long enough for a binary STL")
         if not room - 1 <= count <= room:
             raise ValueError(f"its header states {count} triangles, its {len(raw)} bytes hold {room}; {_CUT_OFF}")
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
@@ -96,7 +96,7 @@ def _obj(raw: bytes) -> Surface:
                 polygons.append([i - 1 if i > 0 else i + len(points) if i < 0 else -1 for i in corners])
         except ValueError:
             raise ValueError(
-                f"line {number}, {line[:60]!r}: three numbers make a point, whole numbers a face"
+                f"line {number}, {line[:60]!r}: a point needs three numbers, a face whole numbers"
             ) from None
     return _triangles(np.array(points).reshape(-1, 3), polygons)
 
@@ -168,7 +168,9 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
         raise ValueError("it has points that are not numbers")
     for polygon in polygons:
         if len(polygon) < 3 or not (min(polygon) >= 0 and max(polygon) < len(x)):
-            raise ValueError(f"it has a face of fewer than three points, or of others than its {len(x)}")
+            raise ValueError(
+                f"it has a face of fewer than three points, or one that refers to points outside its {len(x)}"
+            )
     cut = [triangle for polygon in polygons for triangle in _cut([int(i) for i in polygon], x)]
     return x, np.array(cut, np.int64).reshape(-1, 3)
 

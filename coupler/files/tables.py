@@ -36,7 +36,7 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
     lines = [line.strip() for line in text.splitlines()]
     first = next((k for k, line in enumerate(lines) if _numbers(_fields(line, _separator(line))) >= 3), None)
     if first is None:
-        raise ValueError("no line of it has three numbers, x, y and z" if text.strip() else "it is empty")
+        raise ValueError("none of its lines has three numbers, x, y and z" if text.strip() else "it is empty")
     separator = _separator(lines[first])
     kept = [k for k in range(first, len(lines)) if lines[k] and not lines[k].startswith(_COMMENT)]
     rows = [_fields(lines[k], separator) for k in kept]
@@ -58,8 +58,10 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
     plain = [_UNIT.sub("", name).strip() for name in names]
     wanted = [(k, name) for k, name in enumerate(plain) if name != "-"]
     if len({name.lower() for _, name in wanted}) < len(wanted):
-        raise ValueError("two of its columns have one name: name them with --columns, - leaves one out")
-    notes += [f"column {name!r} left out: {rows[0][k][:30]!r} is no number" for k, name in wanted if k not in columns]
+        raise ValueError("two of its columns have the same name: name them with --columns, where - leaves a column out")
+    notes += [
+        f"column {name!r} left out: {rows[0][k][:30]!r} is not a number" for k, name in wanted if k not in columns
+    ]
     taken = {name: columns[k] for k, name in wanted if k in columns}
     return Table(
         taken, {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}, notes
@@ -117,7 +119,7 @@ def _values(
             columns[k] = np.array([word.replace(",", ".") for word in column] if comma else column).astype(float)
         except ValueError:
             at = next(i for i, word in enumerate(column) if not _is_number(word))
-            raise ValueError(f"line {lines[at] + 1}, column {k + 1}: {column[at][:30]!r} is no number") from None
+            raise ValueError(f"line {lines[at] + 1}, column {k + 1}: {column[at][:30]!r} is not a number") from None
     return columns, ["its commas are read as decimal commas"] if comma else []
 
 
@@ -140,6 +142,6 @@ def _unnamed(columns: dict[int, NDArray[np.float64]]) -> tuple[dict[str, NDArray
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
         places = places[1:]
     if len(places) < 3:
-        raise ValueError("beside the number of each line it has no three columns, x, y and z")
+        raise ValueError("beside a column that counts the lines, it needs three columns, x, y and z")
     told = f"columns {', '.join(str(k + 1) for k in places[:3])} are used as x, y, z, the others left out: name them with --columns"
     return dict(zip("xyz", (columns[k] for k in places[:3]), strict=True)), [told] if len(columns) > 3 else []

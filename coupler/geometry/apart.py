@@ -31,9 +31,11 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
                 env={**os.environ, "PYTHONPATH": paths}, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise SplatError(f"the mesher was not done after {time_limit:g} s: try another element size") from None
+            raise SplatError(f"the mesher did not finish within {time_limit:g} s: try another element size") from None
         if done.returncode < 0:
-            raise SplatError(f"the mesher was ended by {signal.Signals(-done.returncode).name}")
+            raise SplatError(
+                f"the mesher was ended by the signal {signal.Signals(-done.returncode).name}: try a larger element size, or more memory"
+            )
         if done.returncode > 0:
             raise SplatError(f"the mesher failed: {done.stderr.decode(errors='replace').strip().splitlines()[-1]}")
         result = pickle.loads((folder / "result").read_bytes())

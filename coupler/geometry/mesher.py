@@ -134,7 +134,7 @@ def fill(
     try:
         points, tets = build(model, "splat", algorithm)
     except SolverError:
-        raise SplatError("gmsh made no tetrahedra inside the surface") from None
+        raise SplatError("gmsh made no tetrahedra inside the surface: try another element size") from None
     except Exception as problem:  # gmsh raises plain Exception
         raise SplatError(f"gmsh: {str(problem).splitlines()[0] if str(problem) else 'failed'}") from problem
     return points * size, oriented(points, tets)

@@ -46,7 +46,7 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     parts = np.flatnonzero(area > FRAGMENT * area.sum())
     if len(parts) > 1:
         raise SplatError(
-            f"the surface falls into {len(parts)} parts, bodies or cavities: give one body without cavities"
+            f"the surface consists of {len(parts)} separate parts (bodies or cavities): give one body without cavities"
         )
     mesh.remove_triangles_by_mask(label != parts[0])
     mesh.remove_unreferenced_vertices()
@@ -66,12 +66,14 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     except SplatError as problem:
         if many <= MOST_TRIANGLES:
             raise
-        raise SplatError(f"{problem}, when it is decimated to {MOST_TRIANGLES} triangles: give a coarser one") from None
+        raise SplatError(
+            f"{problem}, when it is reduced to {MOST_TRIANGLES} triangles: give a surface with fewer triangles"
+        ) from None
     volume = enclosed_volume(x, t)
     if volume < 0.0:
         t, volume = t[:, ::-1].copy(), -volume
     if volume < 1e-9 * float(np.prod(np.ptp(x, axis=0)) or 1.0):
-        raise SplatError("the surface encloses no volume")
+        raise SplatError("the surface encloses no volume: give the triangles of a closed surface")
     a, b, c = (x[t[:, i]] for i in range(3))
     centre = np.einsum("ij,ij,ik->k", a, np.cross(b, c), a + b + c) / (24.0 * volume)
     return Solid((x - centre) * (np.pi / 6.0 / volume) ** (1.0 / 3.0), t)

@@ -123,7 +123,7 @@ class EndCriterion:
             return None
         aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.seen.at]
         if self.slid_off(time):
-            return f"not {aim} when it slid over the rim of the target: make substrate.diameter larger"
+            return f"not {aim} when it slid over the rim of the target: increase substrate.diameter"
         motion = f"sinks at {sinking:.3g} m/s" if sinking > 0.0 else f"rises at {-sinking:.3g} m/s"
         return f"not {aim} at its time limit of {self.seen.end_time * 1e9:.4g} ns: the particle {motion}"
 

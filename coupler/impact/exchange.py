@@ -245,8 +245,8 @@ class Impact:
         lost = np.count_nonzero(depth)
         if lost > LOST * p.n:
             raise SolverError(
-                f"the contact has lost {lost} of {p.n} points of the particle: they lie up to {depth.max() / p.spacing:.1f}"
-                f" spacings inside the target. Try a finer preset"
+                f"{lost} of {p.n} points of the particle have passed through the target's surface: they lie up to"
+                f" {depth.max() / p.spacing:.1f} spacings inside it. Try a finer preset"
             )
 
     def state(self) -> ImpactState:

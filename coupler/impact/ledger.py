@@ -89,7 +89,8 @@ class Ledger:
             )
         if not error <= MOMENTUM_BOUND:
             raise SolverError(
-                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}"
+                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}:"
+                " try a finer preset or a smaller time step"
             )
 
     def check_closure(self) -> None:

@@ -120,7 +120,9 @@ class Recorder:
         self._notice(impact, skin)
         self.seen.next_row = impact.time + self._row_every
         if not np.isfinite(ledger["drift"]):
-            raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
+            raise SolverError(
+                f"the energy is not a finite number at t = {impact.time * 1e9:.3f} ns: try a finer preset"
+            )
         impact.ledger.check(DRIFT_ALARM)
         self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 

@@ -183,8 +183,8 @@ class _Attempt:
         advance_to_end(impact, ending, recorder, keep, self.options.probe)
         if not ending.touched:
             raise NoContactError(
-                f"particle {self.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
-                " offset in its files, or give it more time (end.time)"
+                f"particle {self.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: check gap, angle and offset of"
+                " [particle], or give a larger end.time"
             )
         # a coating goes on without a particle that has slid off it
         is_lost = len(self.plan.impacts) > 1 and ending.slid_off(impact.time)

@@ -142,17 +142,17 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
         if share > INSIDE_ITSELF:
             beyond.append(
                 f"impact {number}: {share:.1%} of the particle's points lie in another part of it: its shape and strain are"
-                " not those of a real one: try a finer preset"
+                " wrong there: try a finer preset"
             )
     if recorder.seen.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
-            " which a real one does not have there: make substrate.diameter larger"
+            " but a real substrate is wider: increase substrate.diameter"
         )
     if recorder.seen.in_layer:
         beyond.append(
             f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, beyond which"
-            " the target does not give way: make substrate.window larger"
+            " the target does not deform: increase substrate.window"
         )
     return beyond
 

@@ -49,7 +49,7 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: 
     if law.in_impact:
         decided = _by_bonds(mass, upwards, hold)
         if hold is not None and decided.margin_J is not None and abs(decided.margin_J) < SCATTER * hold.bond.dissipated:
-            words = f"{decided.rests_on}; so close that another placement of points and elements may change it"
+            words = f"{decided.rests_on}; the margin is so small that another placement of points and elements can change the verdict"
             decided = replace(decided, rests_on=words, is_close=True)
         return _with_formula(decided, impact)
     if law.kind == "tied" and law.criterion == "velocity":
@@ -95,7 +95,7 @@ def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
     resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
     if math.isinf(resistance):
         return Verdict(STICKS, f"{whole} of {len(hold.rows)} bonds hold, which do not break", BY_BONDS, rebounded=False)
-    words = f"bonds can take up {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to part them"
+    words = f"bonds can absorb {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to break them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
     spare = resistance - energy

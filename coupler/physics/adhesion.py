@@ -300,7 +300,7 @@ class Adhesion:
         }  # fmt: skip
         value = values[self.criterion]
         if value is None:
-            raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value, and there is none")
+            raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value at each node, got None")
         threshold = self.limit
         return np.broadcast_to(np.asarray(value) >= threshold, (nodes,)).copy()
 

@@ -81,8 +81,8 @@ def read_number(value: object, unit: str, low: float, high: float) -> float:
     return float(number)
 
 
-def read_text(value: object, pattern: re.Pattern[str] = PLAIN_TEXT) -> str:
-    """A text of the pattern. Raises ValueError for any other."""
+def read_text(value: object, pattern: re.Pattern[str] = PLAIN_TEXT, allowed: str = "no control characters") -> str:
+    """A text of the pattern. allowed: its characters in words, for the message. Raises ValueError for any other text."""
     if not isinstance(value, str) or not (value.isprintable() and pattern.fullmatch(value)):
-        raise ValueError("must be plain text of at most some hundred characters, without control characters")
+        raise ValueError(f"must be a text of at most 600 characters: {allowed}")
     return value

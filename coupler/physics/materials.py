@@ -18,6 +18,7 @@ from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Strengt
 Pairs = tuple[tuple[float, float], ...]
 
 _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
+_SAFE_WORDS = "A-Z, a-z, digits, spaces and _ . , : ; / ( ) = & + -"
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
@@ -200,7 +201,9 @@ class Entry:
             if choice in (name, table["law"]):
                 return _with_set(self.material, name, table)
         there = ", ".join(f"{name} ({table['law']})" for name, table in self.sets.items())
-        raise ValueError(f"{choice[:40]!r}: {self.material.name} has no such strength set or law; it has {there}")
+        raise ValueError(
+            f"{choice[:40]!r}: {self.material.name} has no strength set or law of this name; it has {there}"
+        )
 
     @property
     def materials(self) -> list[Material]:
@@ -384,7 +387,7 @@ def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Materi
 
 def _read(key: str, value: object) -> float | Pairs | str:
     if key in ("source", "note"):
-        return library.read_text(value, _SAFE_TEXT)
+        return library.read_text(value, _SAFE_TEXT, _SAFE_WORDS)
     if key in _PAIR_LIMITS:
         return _pairs(value, *_PAIR_LIMITS[key])
     return library.read_number(value, *_LIMITS[key])

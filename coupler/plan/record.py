@@ -30,7 +30,9 @@ def read_plan(folder: Path) -> Plan:
     """The plan that a run was started with. Raises StoreError: there is none, it is damaged, or of another format."""
     path = folder / FILE
     if not path.exists():
-        raise StoreError(f"{folder} has no {FILE}, as runs of version 0.1: compute the scene anew with this version")
+        raise StoreError(
+            f"{folder} has no {FILE}, it may be a run of version 0.1: compute the scene again with this version"
+        )
     data = read_json_object(path)
     plan, problem = data.get("plan"), ""
     if data.get("format") != FORMAT:
@@ -43,7 +45,7 @@ def read_plan(folder: Path) -> Plan:
         except ValidationError as error:
             first = error.errors()[0]
             problem = f"is damaged: {'.'.join(map(str, first['loc']))}: {first['msg']}"
-    raise StoreError(f"{path} {problem}: this version cannot go on with it")
+    raise StoreError(f"{path} {problem}: this version cannot continue the run; compute the scene again")
 
 
 def _checksum(data: object) -> str:

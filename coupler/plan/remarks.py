@@ -55,14 +55,14 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
         real = units.rounded(scene.derived.time_between, "ms")
         warnings.append(
-            f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
+            f"dwell = 0 us: each particle hits a target still hot from the impact before; in the spray {real} pass between impacts"
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
         name = impacts[0].material.name
         warnings.append(
-            f"the critical velocity of {name} is not known (no sigma_TS), so that nothing holds the particle: give sigma_TS under"
+            f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond: give sigma_TS under"
             f' [materials.{name}], or adhesion.kind ("none" to have it so)'
         )
     fewest = min(i.points for i in impacts)

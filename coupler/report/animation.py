@@ -40,11 +40,11 @@ def animate(
     """
     path = Path(path) if path is not None else result.directory / f"{field}{SUFFIXES[ffmpeg() is None]}"
     if path.suffix.lower() not in SUFFIXES:
-        raise StoreError(f"cannot write {path}: a film ends in {' or '.join(SUFFIXES)}")
+        raise StoreError(f"cannot write {path}: the name of a film ends in {' or '.join(SUFFIXES)}")
     if not path.parent.is_dir():
         raise StoreError(f"cannot write {path}: there is no folder {path.parent}")
     if fps is not None and not 0.1 <= fps <= 100:
-        raise StoreError(f"fps = {fps:g} is outside 0.1 to 100 pictures in a second")
+        raise StoreError(f"fps = {fps:g} is outside 0.1 to 100 pictures per second")
     have = drawable(result)
     if not have:
         raise StoreError(f"{result.directory} holds no step of particle, surface and target: nothing to animate yet")

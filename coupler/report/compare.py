@@ -130,7 +130,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
     elif path.suffix.lower() in (".html", ".htm"):
         write_text(path, comparison_page(results))
     else:
-        raise StoreError(f"cannot write {path}: a comparison ends in .png or .html")
+        raise StoreError(f"cannot write {path}: the name of a comparison ends in .png or .html")
     return path
 
 

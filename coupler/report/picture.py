@@ -209,16 +209,21 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     """Particle, surface and target at a stored step, with all that a picture needs. Raises StoreError if they lack it."""
     steps = stored_steps(result)
     if not -steps <= step < steps:
-        raise StoreError(f"{result.directory} holds {steps} steps of particle, surface and target, not step {step}")
+        raise StoreError(
+            f"{result.directory} has {steps} steps of particle, surface and target, there is no step {step}"
+        )
     particle, surface, target = (result.fields(step % steps, domain) for domain in DOMAINS)
     missing = {name for name in names for fields in (particle, target) if name not in fields.data}
     if missing or target.cells.shape[1:] != (4,) or surface.cells.shape[1:] != (3,):
-        raise StoreError(f"{result.directory} lacks what a picture needs: {', '.join(sorted(missing)) or 'cells'}")
+        raise StoreError(
+            f"{result.directory} lacks fields that a picture needs: {', '.join(sorted(missing)) or 'cells'}"
+        )
     numbers: list[NDArray] = [fields.points for fields in (particle, surface, target)]
     numbers += [fields.data[name] for name in names for fields in (particle, target)]
     if not all(np.isfinite(part).all() for part in numbers):
         raise StoreError(
-            f"{result.directory}: step {step % steps} holds values that are not numbers; the run broke down"
+            f"{result.directory}: step {step % steps} has values that are not finite numbers: the run became unstable;"
+            " draw an earlier step, or try a finer preset"
         )
     return particle, surface, target
 

@@ -83,7 +83,7 @@ class BySize:
             raise ValueError('needs one value, or pairs of a diameter and a value, such as [["18 um", "610 m/s"]]')
         pairs = tuple(sorted((_Diameter.read(size), self.of.read(number)) for size, number in value))
         if len({size for size, _ in pairs}) < len(pairs):
-            raise ValueError("has a diameter twice")
+            raise ValueError("names a diameter twice: give one value for each diameter")
         return pairs
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -237,7 +237,9 @@ class Coating(_WithDwell):
         if (low is not None and low > self.diameter) or (high is not None and high < self.diameter):
             raise ValueError("needs smallest <= diameter <= largest")
         if self.number % self.layers:
-            raise ValueError(f"needs layers that divide number = {self.number}: each has as many particles")
+            raise ValueError(
+                f"needs layers that divide number = {self.number}: all layers have the same number of particles"
+            )
         return self
 
 

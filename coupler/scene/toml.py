@@ -123,7 +123,9 @@ def set_key(table: Any, key: str, value: object) -> None:
         table, at = table[name], int(number or 1)
         if isinstance(table, list):
             if not ((number or len(table) == 1) and 1 <= at <= len(table)):
-                raise ValueError(f'{key}: the scene has {len(table)} tables [[{name}]]: say which, as "{name}[1]"')
+                raise ValueError(
+                    f'{key}: the scene has {len(table)} tables [[{name}]]: name one of them, such as "{name}[1]"'
+                )
             table, at = table[at - 1], 1
         if at != 1 or not isinstance(table, dict):
             raise ValueError(f"{key}: the scene has no table {name}[{at}]" if at != 1 else f"{key}: {name} is no table")

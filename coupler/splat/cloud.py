@@ -102,7 +102,9 @@ class Cloud(MetalState):
         if x.ndim != 2 or x.shape[1] != 3:
             raise SplatError(f"points must be (n, 3) coordinates, got {x.shape}: give x, y and z of each point")
         if n < MIN_POINTS:
-            raise SplatError(f"the cloud has {n} points, {MIN_POINTS} or more are needed: use a finer resolution")
+            raise SplatError(
+                f"the cloud has {n} points, {MIN_POINTS} or more are needed: use a smaller spacing of the points"
+            )
         for name, values in self._known().items():
             shape = (n, *rows_of(self)[name].shape[1:])
             if np.shape(values) != shape:
@@ -110,7 +112,8 @@ class Cloud(MetalState):
             bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
             if len(bad):
                 raise SplatError(
-                    f"{name} of {len(bad)} points is not a number, or beyond {LARGEST:g} (first: point {bad[0]}): remove or mend them"
+                    f"{name} of {len(bad)} points is not a number, or beyond {LARGEST:g} (first: point {bad[0]}): remove or"
+                    " correct these points"
                 )
         for name, value in {"spacing": self.spacing, "rho": self.rho}.items():
             if not 1.0 / LARGEST < value < LARGEST:
@@ -121,15 +124,15 @@ class Cloud(MetalState):
         if self.surface is not None:
             vertices, triangles = self.surface
             if not (np.abs(vertices) < LARGEST).all():
-                raise SplatError("the carried surface has vertices that are not numbers: leave it out, or mend it")
+                raise SplatError("the carried surface has vertices that are not numbers: leave it out, or correct it")
             if problem := open_or_double(np.asarray(triangles, np.int64)):
-                raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or mend it")
+                raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or correct it")
 
     def _check_places(self, x: np.ndarray) -> None:
         box = float(np.prod(np.ptp(x, axis=0) / self.spacing + 1.0))
         if box > MAX_BOX:
             raise SplatError(
-                f"the points are spread over {box:.2g} times the volume of one: remove those that lie far from the body,"
+                f"the points are spread over {box:.2g} times the volume of one point: remove points that lie far from the body,"
                 " or check the spacing"
             )
         extent = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) * np.sqrt(12.0 / len(x))
@@ -144,7 +147,7 @@ class Cloud(MetalState):
             i = int(double[0])
             other = next(int(k) for k in nearest[i] if k != i)  # of two equal points either may come first
             raise SplatError(
-                f"{len(double)} points lie on top of others (points {i} and {other} at one place): remove the doubles"
+                f"{len(double)} points lie on top of others (points {i} and {other} have the same coordinates): remove the duplicates"
             )
 
 

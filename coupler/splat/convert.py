@@ -38,7 +38,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
     expected = TETS_PER_H3 * cloud.solid_volume / element_size**3
     if expected > MAX_ELEMENTS:
         raise SplatError(
-            f"elements of {element_size:.3g} m would be {expected:.2g} in this body: give a larger size, "
+            f"this body would have {expected:.2g} elements of {element_size:.3g} m: give a larger element size, "
             f"at least {(TETS_PER_H3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
         )
     start = clock.perf_counter()
@@ -47,7 +47,9 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
         sorting = clock.perf_counter() - start
         bodies = [mesh_body(shape, index, element_size, method, time_limit) for index, shape in parts]
     except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
-        raise SplatError(f"no body can be made of this cloud ({type(problem).__name__}: {problem})") from problem
+        raise SplatError(
+            f"the meshing of this cloud fails ({type(problem).__name__}: {problem}): try another element size, or check the points"
+        ) from problem
     lost = np.setdiff1d(np.arange(len(cloud.x)), np.concatenate([body.cloud_index for body in bodies]))
     report = _total([body.report for body in bodies], sorting)
     report |= {"lost_points": len(lost), "wall_s": clock.perf_counter() - start}
@@ -123,7 +125,7 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
         return Body(points, tets, index, report=report, **state)
     reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
     raise SplatError(
-        f"no mesh of a body of {len(index)} points passed: {reasons}. Try another element size, or check the spacing"
+        f"no mesh of a body of {len(index)} points is good enough: {reasons}. Try another element size, or check the spacing"
     )
 
 

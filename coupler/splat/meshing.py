@@ -123,13 +123,13 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
         inside = fields.inside(metal, fields.steepness(metal), 0.5)
     error = inside / solid - 1.0
     if source == "carried" and not CARRIED_VOLUME_ERROR[0] < error < CARRIED_VOLUME_ERROR[1]:
-        raise SplatError(f"the carried surface holds {error:+.1%} of the points' volume")
+        raise SplatError(f"the volume in the carried surface differs by {error:+.1%} from the points' volume")
     # noise is removed before the level is sought, because it counts in the volume
     metal, _ = fields.clean(metal, 0.5, min_void)
     level = fields.level_of(metal, solid)
     metal, pieces = fields.clean(metal, level, min_void)
     if not pieces:
-        raise SplatError("no metal is left of the body at this smoothing")
+        raise SplatError("the body is so thin or small that the smoothing removes it")
     shells = surface.shells(surface.contour(metal, level), 0.2 * min_void)
     return Shape(metal, level, error, pieces, shells, sum(surface.handles(shell) for shell in shells))
 
@@ -175,14 +175,15 @@ def _one_piece(shape: Shape) -> list[surface.Surface]:
     """The outer surface of the one piece of a shape, and its cavities. Raises SplatError if it is in pieces."""
     outer = [shell for shell in shape.shells if enclosed_volume(*shell) > 0.0]
     if len(outer) != 1:
-        raise SplatError(f"the surface falls into {len(outer)} pieces")
+        raise SplatError(f"the surface consists of {len(outer)} separate pieces")
     return shape.shells
 
 
 def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) -> Report:
-    """Measures of a mesh, points (n,3) m and tets (m,4), of a body of `solid` m3. Raises SplatError with all missed limits."""
+    """Quality measures of a mesh, points (n,3) m and tets (m,4). solid: exact volume of the body, m3; size: element size, m. Raises
+    SplatError that lists every limit that is not satisfied."""
     if len(tets) == 0:
-        raise SplatError("no tetrahedra")
+        raise SplatError("the mesh has no tetrahedra")
     volume = volumes(points, tets)
     gamma, steps = quality.gamma(points, tets), quality.step_lengths(points, tets)
     report: Report = {
@@ -196,13 +197,15 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) 
     if unclosed := open_or_double(boundary_faces(tets)[0]):
         wrong.append(unclosed)
     if (pieces := quality.pieces(points, tets)) != 1:
-        wrong.append(f"{pieces} pieces")
+        wrong.append(f"the mesh consists of {pieces} separate pieces")
     if gamma.min() < MIN_GAMMA:
-        wrong.append(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
+        wrong.append(f"worst element quality gamma {gamma.min():.3f}, least allowed {MIN_GAMMA}")
     if steps.min() < MIN_STEP_LENGTH * size:
-        wrong.append(f"smallest step length {steps.min() / size:.3f} of the element size, allowed {MIN_STEP_LENGTH}")
+        wrong.append(
+            f"smallest step length {steps.min() / size:.3f} of the element size, least allowed {MIN_STEP_LENGTH}"
+        )
     if abs(error := report["volume_m3"] / solid - 1.0) > MAX_VOLUME_ERROR:
-        wrong.append(f"volume off by {error:+.1%}")
+        wrong.append(f"volume differs by {error:+.1%}")
     if wrong:
         raise SplatError("; ".join(wrong))
     return report

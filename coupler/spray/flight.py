@@ -159,7 +159,10 @@ def integrate(
         solved = solve_ivp(slope, (start, stop), y, "LSODA", xs, rtol=1e-8, atol=atol, lband=2, uband=2)
         if not solved.success or not np.isfinite(solved.y).all():
             which = " to ".join(f"{size * 1e6:.3g}" for size in sorted({D.min(), D.max()}))
-            raise ColdsprayError(f"particles of {which} um cannot be followed past x = {start * 1e3:.3g} mm")
+            raise ColdsprayError(
+                f"cannot integrate the flight of particles of {which} um between x = {start * 1e3:.3g} and {stop * 1e3:.3g} mm:"
+                " check diameters, metal and gas"
+            )
         gas_there = np.array([state(float(x)) for x in xs])
         columns.append(np.vstack([xs, gas_there[:, 0], gas_there[:, 1], solved.y]))
         y = solved.y[:, -1]

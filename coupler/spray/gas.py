@@ -91,7 +91,9 @@ def mach(ratio: float, gamma: float, supersonic: bool) -> float:
     where the area itself has its minimum; it starts on the side from which it cannot overshoot.
     """
     if ratio < 1:
-        raise ColdsprayError(f"an area of {ratio:g} times the throat's: nothing is narrower than the throat")
+        raise ColdsprayError(
+            f"area ratio {ratio:g}: must be 1 or more, because the throat is the narrowest section of the nozzle"
+        )
     wanted = math.sqrt(math.log(ratio))
     if wanted < 1e-8:
         return 1.0
@@ -152,12 +154,12 @@ class Flow:
         if self.p0 < (1 - 1e-12) * self.least_pressure:
             raise ColdsprayError(
                 f"pressure = {self.p0 / 1e5:.4g} bar: too low for nozzle {self.nozzle.name}, a shock would stand inside"
-                f" it; at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
+                f" it: give at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
             )
         if self.layer > 0.9 * self.standoff:
             raise ColdsprayError(
                 f"standoff = {self.standoff * 1e3:.3g} mm: too short for the bow shock,"
-                f" which stands {self.layer * 1e3:.3g} mm before the target"
+                f" which stands {self.layer * 1e3:.3g} mm before the target: increase standoff"
             )
 
     @cached_property
@@ -281,7 +283,7 @@ class Flow:
         if end < SEPARATES:
             notes.append(
                 f"over-expanded: {self.exit_pressure / 1e5:.2g} bar at the exit against {self.ambient / 1e5:.3g} outside;"
-                f" below {SEPARATES:g} of it a real flow leaves the wall before the exit, and particles are slower"
+                f" below {SEPARATES:g} of it a real flow separates from the wall before the exit, and particles are slower"
             )
         if self.standoff > self.core:
             notes.append(f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet has slowed")

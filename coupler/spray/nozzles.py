@@ -91,7 +91,7 @@ def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[s
 def from_table(name: str, table: object) -> Nozzle:
     """Make a nozzle from lengths with units. Raises SceneError with every problem, each beginning with the field at fault."""
     if not isinstance(table, Mapping):
-        raise SceneError(["expected a table of lengths"], name)
+        raise SceneError([f"expected a table of lengths, such as [nozzles.{name}] with throat and exit"], name)
     nozzle = records.read_record(Nozzle, name, table, _read, _DEFAULTS)
     problems = []
     for key, width in {"inlet": nozzle.inlet, "exit": nozzle.exit}.items():

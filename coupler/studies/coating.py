@@ -82,14 +82,14 @@ def read(result: Result, before: int | None = None) -> Splats:
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
-        raise StoreError(f"{result.directory} holds no impact yet: nothing to measure")
+        raise StoreError(f"{result.directory} has no impact yet: nothing to measure")
     done = before or int(numbers.max())
     is_cold = before is None and len(result.times(COLD)) > 0
     step = -1 if before is None else first_step(result, before)
     mesh = result.fields(step, COLD if is_cold else "target")
     if "impact" not in mesh.data:
         raise StoreError(
-            f"{result.directory} does not tell which tetrahedron is whose: run the scene again with this version"
+            f"{result.directory} has no field that names the splat of each tetrahedron: run the scene again with this version"
         )
     body, came = mesh.data["body"].astype(np.int64), mesh.data["impact"].astype(np.int64)
     impact = np.zeros(int(body.max()) + 1, np.int64)

@@ -25,7 +25,9 @@ def other_seeds(scene: Scene, count: int) -> dict[str, str]:
     """Name, such as "seed 8" -> the scene (TOML) with this seed; `count` of them after that of the scene. Raises StoreError for a scene
     without a table [coating]."""
     if scene.coating is None:
-        raise StoreError("--seeds: the scene of this run has no table [coating], and so no seed")
+        raise StoreError(
+            "--seeds: the scene of this run has no table [coating] and therefore no seed: leave --seeds out"
+        )
     data = tomllib.loads(scene.to_toml())
     del data["particle"]  # which the seed of the scene has made
     seeds = range(scene.coating.seed + 1, scene.coating.seed + 1 + count)

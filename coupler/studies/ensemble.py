@@ -75,7 +75,7 @@ def distribution_of(table: object) -> Distribution:
     found = {unit for key, (_, unit) in numbers.items() if key != "spread"}
     dimensions = {units.dimension_of(unit) if unit else "" for unit in found}
     if len(dimensions) > 1:
-        raise ValueError(f"{', '.join(numbers)} must be of one dimension")
+        raise ValueError(f"{', '.join(numbers)} must have units of the same dimension")
     a, b = (numbers[key][0] for key in keys)
     if kind == "normal" and numbers["deviation"][1] == "degC":
         raise ValueError("deviation: give it in K")

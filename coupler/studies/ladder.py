@@ -73,10 +73,10 @@ def ladder_points(
     """
     for name, numbers in (("points", points), ("reference", [reference]), ("knobs-at", [knobs_at] if knobs_at else [])):
         if numbers and min(numbers) < FEWEST_POINTS:
-            raise StoreError(f"--{name} {min(numbers)} is too coarse: {FEWEST_POINTS} points at least")
+            raise StoreError(f"--{name} {min(numbers)} is too coarse: give {FEWEST_POINTS} points or more")
     if reference <= max([*points, knobs_at or 0]):
         raise StoreError(
-            f"--reference {reference} must be finer than the settings compared with it: more than {max([*points, knobs_at or 0])}"
+            f"--reference {reference} must be finer than the settings compared with it: give more than {max([*points, knobs_at or 0])}"
         )
     ladder = [LadderPoint("points", f"{n} points", n) for n in sorted(set(points))]
     for axis, tried in KNOBS.items() if knobs_at else ():
@@ -201,6 +201,6 @@ def _spent_before(note: Path) -> tuple[float, float]:
 
 def _warm_up(out: Path, say: Callable[[str], None]) -> None:
     """Load or compile all kernels, so that no row pays for it."""
-    say("compiling")
+    say("loading or compiling the numba kernels (once)")
     scene = Scene.from_text(SMALL, "warm-up")
     compute(scene, LadderPoint("warm-up", "warm-up", 500), out / "runs" / "warm-up", Progress(quiet=True))

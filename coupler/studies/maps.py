@@ -37,6 +37,7 @@ NARROW = 0.05  # width over middle of a bracket of the critical velocity that is
 FORMULAS = ("velocity_ratio",)  # measures that follow from the scene, without a run
 LONGEST = 3.0  # length of the interpolation over the range of an axis
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
+_ALIKE = "all runs have the same inputs: vary at least one axis"
 Place = tuple[float, ...]  # values of the axes, SI
 
 
@@ -98,9 +99,9 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     used = with_value(rows, quantity)
     names = tuple(axes) if axes is not None else varying(rows)
     if quantity not in COLUMNS:
-        raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
+        raise StoreError(f"{quantity} is not a column of a map's table; known: {', '.join(MEASURES)}")
     if not names or (problem := sparse(used, names)):
-        raise StoreError(f"{quantity}: {problem if names else 'no axis varies'}")
+        raise StoreError(f"{quantity}: {problem if names else _ALIKE}")
     x = np.array([[row[name] for name in names] for row in used], float)
     y = np.array([row[quantity] for row in used], float)
     logs = _logs(x, names)
@@ -314,7 +315,7 @@ def best_point(
     used = with_value(rows, quantity)
     names = tuple(axes) or varying([row for row in rows if row["status"] == "done"])
     if not names:
-        return NextPoint({}, "no axis varies"), None, "no axis varies"
+        return NextPoint({}, _ALIKE), None, _ALIKE
     problem = sparse(used, names)
     if not problem and len(names) == 1 and quantity not in FORMULAS and len(sides(used, names[0])) > 1:
         ends = [

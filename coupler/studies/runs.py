@@ -155,7 +155,7 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
             _running.discard(run)
     code = run.returncode
     if code in {*(-number for number in STOPS), *(128 + number for number in STOPS)}:
-        raise InterruptedRunError(f"the run in {folder} was stopped; the same command goes on with it")
+        raise InterruptedRunError(f"the run in {folder} was stopped; the same command continues it")
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
     write_text(status, json.dumps(ended, indent=1) + "\n")
     return ended

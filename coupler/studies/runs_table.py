@@ -44,7 +44,7 @@ def table(folder: str | Path) -> list[Row]:
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
     names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
     if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # of a study, with its scene beside
-        raise StoreError(f"{folder} holds no points itself: name {inner}, which holds runs")
+        raise StoreError(f"{folder} has no runs of its own: name {inner}, which has them")
     rows = [_readable_row(folder, name) for name in names]
     if not rows:
         raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
@@ -116,11 +116,11 @@ def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
         known = sorted({key for row in rows for key in row.get("keys", {})})
         if name not in AXES:
             if key not in known:
-                raise StoreError(f"--axes {key}: no scene has a number there{units.nearest(key, known)}")
+                raise StoreError(f"--axes {key}: no scene has a number for this key{units.nearest(key, known)}")
             for row in rows:
                 row[name] = row["keys"].get(key)
         if len(rows) > 1 and len({row[name] for row in rows}) == 1:
-            raise StoreError(f"--axes {key}: all {len(rows)} points have the same value there; leave it out")
+            raise StoreError(f"--axes {key}: all {len(rows)} points have the same value of this key; leave it out")
         if name in names:
             raise StoreError(f"--axes {key}: it is named twice; name each axis once")
         names.append(name)

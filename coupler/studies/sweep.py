@@ -93,7 +93,7 @@ class Sweep:
         for number, point in enumerate(settings, 1):
             label = f"{number:05d}" if is_ensemble else point_name(point)
             if label in scenes:
-                raise SceneError([f"points: {label} stands there twice"], source)
+                raise SceneError([f"points: {label} is given twice; remove one of them"], source)
             try:
                 scenes[label] = toml_text(scene := _with(base, point, ratios))
                 Scene.from_dict(scene, label)

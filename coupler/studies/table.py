@@ -25,7 +25,9 @@ class StudyTable:
         for row in self.rows:
             row.setdefault("version", "unknown")
             if set(row) != set(self.columns) or None in row.values():
-                raise StoreError(f"{path} has other columns than this study: move it away to begin again")
+                raise StoreError(
+                    f"{path} has other columns than this study writes: move or rename the file, then start the study again"
+                )
 
     def __contains__(self, key: tuple[str, ...]) -> bool:
         return any(self._key_of(row) == key for row in self.rows)

@@ -50,5 +50,7 @@ def _timed() -> float:
         expected = cost.step_time(1.0, int(result.points), int(result.elements), scene.resolution.engine)
     steps = [(t1 - t0) / (n1 - n0) for (t0, n0), (t1, n1) in itertools.pairwise(marks) if n1 > n0]
     if len(steps) < FEWEST_CHUNKS:
-        raise SolverError(f"only {len(steps)} chunks of steps to time")
+        raise SolverError(
+            f"the timing run has only {len(steps)} groups of steps, {FEWEST_CHUNKS} are needed: repeat the command"
+        )
     return statistics.median(steps) / expected

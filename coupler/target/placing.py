@@ -32,7 +32,9 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
     """
     n, new = len(target.nodes.x), int(body.max()) + 1
     if len(splat.tets) == 0:
-        raise SolverError("a splat without elements cannot join the target")
+        raise SolverError(
+            "a splat without elements cannot join the target: try a finer preset, or another [splat] method"
+        )
     facets, element = boundary_faces(splat.tets)
     x, mesh = np.concatenate([target.nodes.x, splat.points]), target.mesh
     surfaces = Surfaces(
@@ -99,7 +101,7 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
         left = max(left - abs(offset), 0.0)
     if abs(error := volumes(points, splat.tets).sum() / whole - 1.0) > LOST_VOLUME:
         raise SolverError(
-            f"a splat changed its volume by {error:+.1%} as it was put on the surface below it, allowed {LOST_VOLUME:.0%}:"
+            f"a splat changed its volume by {error:+.1%} when it was fitted to the surface below it, allowed {LOST_VOLUME:.0%}:"
             " try a finer preset, or another [splat] method"
         )
     return points

@@ -193,7 +193,7 @@ def test_a_changed_sweep_does_not_replace_what_is_there(tmp_path: Path, capsys: 
     assert "--force" in said
     assert (tmp_path / "runs" / f"{next(iter(one.points))}.toml").read_text() == next(iter(one.points.values()))
     assert main(["sweep", str(tmp_path / "few.toml"), "--out", str(tmp_path / "new"), "--slurm", "cores=2"]) == 2
-    assert "--slurm is for --executor slurm" in capsys.readouterr().err
+    assert "--slurm needs --executor slurm" in capsys.readouterr().err
 
 
 def test_a_map_of_a_measure_that_no_run_has_is_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

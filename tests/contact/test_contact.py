@@ -341,7 +341,7 @@ def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) ->
 
 def test_positions_that_are_no_numbers_are_refused(rng: np.random.Generator) -> None:
     x, facets = sheet(rng)
-    with pytest.raises(SolverError, match="no longer numbers"):
+    with pytest.raises(SolverError, match="not finite numbers"):
         make(1, facets).search(np.array([[np.nan, 0, 0]]), x, 0.1)
 
 

@@ -204,7 +204,7 @@ def test_a_signal_between_impacts_ends_a_run_that_can_go_on(
 
     monkeypatch.setattr(joining, "pause", pause)
     assert main(["run", str(scene), "--out", str(out), "--checkpoint", "0.1", "-q"]) == 143
-    assert f"go on with coldspray resume {out}" in capsys.readouterr().err
+    assert f"continue with coldspray resume {out}" in capsys.readouterr().err
     monkeypatch.setattr(joining, "pause", true_pause)
     assert main(["resume", str(out), "-q"]) == 0
     assert_same_files(shared_run(text), Result(out))

@@ -324,7 +324,7 @@ def test_a_signal_writes_a_checkpoint_first(
 
     monkeypatch.setattr(Recorder, "record", record)
     assert main(["run", str(short), "--out", str(out), "--checkpoint", "1e9", "--quiet"]) == code
-    assert f"go on with coldspray resume {out}" in capsys.readouterr().err
+    assert f"continue with coldspray resume {out}" in capsys.readouterr().err
     assert len(checkpoint.stored(out)) == 1
     assert not (out / "summary.json").exists()
     assert_same(shared_run(SHORT), resume(out))

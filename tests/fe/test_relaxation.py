@@ -282,4 +282,4 @@ def test_an_equilibrium_that_was_given_up_is_a_warning(steps: int) -> None:
     texts = [*unsettled(pause), *unsettled(closing)]
     assert len(texts) == (2 if steps == RELAX_STEPS else 0)
     for text, when in zip(texts, ("after impact 7", "in the closing stage"), strict=False):
-        assert text.startswith(f"{when} the bodies have not come to equilibrium in 2500 steps")
+        assert text.startswith(f"{when} the bodies have not reached equilibrium in 2500 steps")

@@ -135,7 +135,7 @@ def test_an_output_is_claimed_before_the_work(tmp_path: Path) -> None:
         if kind:
             claim_folder(tmp_path / name, kind, [])
     (tmp_path / "full" / "thesis.tex").write_text("a")
-    with pytest.raises(StoreError, match=r"is a link to .*full, a folder with files that are not of coldspray"):
+    with pytest.raises(StoreError, match=r"is a link to .*full, a folder with files that coldspray did not write"):
         claim_folder(tmp_path / "to_full", "run", ["scene.toml"])
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.tex"]
     claim_folder(tmp_path / "to_empty", "run", ["scene.toml"])
@@ -269,7 +269,7 @@ def test_a_data_set_is_held_against_what_is_stored(finished: Path, tmp_path: Pat
     with h5py.File(tmp_path / "particle.vtkhdf", "r+", locking=False) as file:
         del file["VTKHDF/Steps/Values"]
         file["VTKHDF/Steps"].create_dataset("Values", (9 * 10**9,), dtype="f8")
-    with pytest.raises(StoreError, match="claims more data"):
+    with pytest.raises(StoreError, match="states more data"):
         Result(tmp_path).times()
     with h5py.File(tmp_path / "particle.vtkhdf", "r+", locking=False) as file:
         del file["VTKHDF/Steps/Values"]

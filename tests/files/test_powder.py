@@ -229,9 +229,9 @@ def test_a_concave_side_is_cut_into_triangles_that_lie_in_it(tmp_path: Path) -> 
         ("less.stl", binary_stl(9), "states 9 triangles, its 684 bytes hold 12"),
         ("cut.stl", text_stl()[:-60], "33 corners for 12 facets; it is damaged or cut off"),
         ("cut.ply", ply("binary_little_endian", HALVES)[:-9], "ends before the values that its header states"),
-        ("zero.obj", obj(CORNERS, SIDES), "or of others than its 8"),
-        ("beyond.obj", obj(CORNERS, [*FROM_ONE, [1, 2, -9]]), "or of others than its 8"),
-        ("comma.obj", b"v 0,5 0 0", "line 1, 'v 0,5 0 0': three numbers"),
+        ("zero.obj", obj(CORNERS, SIDES), "or one that refers to points outside its 8"),
+        ("beyond.obj", obj(CORNERS, [*FROM_ONE, [1, 2, -9]]), "or one that refers to points outside its 8"),
+        ("comma.obj", b"v 0,5 0 0", "line 1, 'v 0,5 0 0': a point needs three numbers"),
         ("none.obj", obj(CORNERS, []), "has no triangles"),
         ("order.ply", ply("ascii", SIDES).replace(b"element vertex 8\n", b""), "ends before the values"),
         ("not.ply", binary_stl(), "its header is missing"),
@@ -256,7 +256,7 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
     x, t = packing.surface(2.0, 0.3)
     for points, triangles, reason in (
         (x, t[1:], "3 edges have one triangle"),
-        (np.concatenate([x, x + 3.0]), np.concatenate([t, t + len(x)]), "2 parts"),
+        (np.concatenate([x, x + 3.0]), np.concatenate([t, t + len(x)]), "2 separate parts"),
         (x * [1.0, 1.0, 0.0], t, "solid|volume|pass through"),
         (np.zeros((3, 3)), np.array([[0, 1, 2]]), "no area"),
         (x, np.concatenate([t, [[t[0, 0], t[0, 1], t[40, 0]]]]), "more than two triangles"),
@@ -268,7 +268,7 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=reason):
             load(tmp_path / "a.stl")
     (tmp_path / "a.txt").write_text("1 2 3")
-    with pytest.raises(InputError, match="is no surface"):
+    with pytest.raises(InputError, match="is not a file of a surface"):
         load(tmp_path / "a.txt")
 
 

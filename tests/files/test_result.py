@@ -216,7 +216,7 @@ def test_cut_and_garbled_files_never_crash(folder):
         with contextlib.suppress(StoreError, IndexError):
             result.fields(-1)
     path.write_text("not HDF5")
-    with pytest.raises(StoreError, match="damaged or not a file of ours"):
+    with pytest.raises(StoreError, match="damaged or not a coldspray file"):
         result.times()
 
 
@@ -232,7 +232,7 @@ def test_a_file_cannot_fill_the_memory(folder):
     replaced(path, "VTKHDF/Points", shape=(huge, 3), chunks=(1000, 3), dtype="f8")
     with h5py.File(path, "a") as file:
         file["VTKHDF/NumberOfPoints"][:] = huge
-    with pytest.raises(StoreError, match="claims more data"):
+    with pytest.raises(StoreError, match="states more data"):
         Result(folder).fields(0)
 
 
@@ -246,7 +246,7 @@ def test_a_file_cannot_open_others(folder, tmp_path):
     with h5py.File(path, "a") as file:
         del file["VTKHDF/PointData/T"]
         file["VTKHDF/PointData/T"] = h5py.ExternalLink(str(folder / "target.vtkhdf"), "/VTKHDF/Points")
-    with pytest.raises(StoreError, match="leads elsewhere"):
+    with pytest.raises(StoreError, match="a link to another file"):
         Result(folder).fields()
     with h5py.File(path, "a") as file:
         del file["VTKHDF/PointData/T"]
@@ -266,7 +266,7 @@ def test_only_plain_numbers_are_read(folder):
 def test_cells_must_point_at_points(folder):
     with h5py.File(folder / "target.vtkhdf", "a") as file:
         file["VTKHDF/Connectivity"][3] = 20
-    with pytest.raises(StoreError, match="points that are not there"):
+    with pytest.raises(StoreError, match="points that do not exist"):
         Result(folder).fields(-1, "target")
 
 

@@ -24,7 +24,7 @@ def test_a_process_that_hangs_is_killed(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
-    with pytest.raises(SplatError, match=r"not done after 0\.2 s: try another element size"):
+    with pytest.raises(SplatError, match=r"did not finish within 0\.2 s: try another element size"):
         apart(partial(hangs), 0.2)
     assert [process.returncode for process in started] == [-signal.SIGKILL]
 

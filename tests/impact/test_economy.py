@@ -332,4 +332,4 @@ def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:
 def test_a_particle_that_reaches_the_edge_is_told_of(tmp_path: Path) -> None:
     particle = scenes.scene(("Ni", 20, 500), spacing=2.7, element_size=5, end=25, of_substrate='window = "14 um"\n')
     narrow = run(Scene.from_text(particle, "narrow"), tmp_path / "narrow").values
-    assert any("substrate.window larger" in warning for warning in narrow["warnings"])
+    assert any("increase substrate.window" in warning for warning in narrow["warnings"])

@@ -90,7 +90,7 @@ def test_a_particle_that_slides_over_the_rim_has_left_undecided():
     assert beside.reached(36e-9)
     assert not beside.met(36e-9)
     assert beside.undecided(36e-9, 40.0) == (
-        "not at rest when it slid over the rim of the target: make substrate.diameter larger"
+        "not at rest when it slid over the rim of the target: increase substrate.diameter"
     )
 
 
@@ -140,7 +140,7 @@ def limited(tmp_path_factory):
     with contextlib.redirect_stderr(io.StringIO()) as said:
         code = main(["run", str(folder / "limited.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"])
     assert re.search(
-        rf"sinks at \d+ m/s; go on with coldspray resume {re.escape(str(folder / 'out'))}\n$", said.getvalue()
+        rf"sinks at \d+ m/s; continue with coldspray resume {re.escape(str(folder / 'out'))}\n$", said.getvalue()
     )
     return folder, code
 
@@ -160,7 +160,7 @@ def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
     assert result.end["time_s"] >= 20e-9
     assert result.errors == {}
     assert main(["resume", str(folder / "out"), "--until", "15 ns"]) == 2
-    assert "give a later time" in capsys.readouterr().err
+    assert "give a later --until" in capsys.readouterr().err
     assert Result(folder / "out").undecided, "a refused resumption changes nothing"
 
 

@@ -68,7 +68,7 @@ def test_a_strength_set_is_chosen_by_its_name_or_its_law():
     assert preston.flow_stress(0.3, 1e7, 300.0) > 1.5 * materials.material("Cu").flow_stress(0.3, 1e7, 300.0)
     with pytest.raises(
         ColdsprayError,
-        match=r"Ni has no such strength set or law; it has Johnson_1983 \(johnson_cook\), Steinberg_1996",
+        match=r"Ni has no strength set or law of this name; it has Johnson_1983 \(johnson_cook\), Steinberg_1996",
     ):
         materials.material("Ni", "Preston_2003")
     table = {
@@ -80,7 +80,10 @@ def test_a_strength_set_is_chosen_by_its_name_or_its_law():
     assert (catalogue["Cu"].strength["C_0"], catalogue["Cu"].strength["C_2"]) == (80e6, 890e6)
     assert (catalogue["Mine"].name, catalogue["Mine"].strength.set) == ("Mine", "Steinberg_1996")
     assert catalogue["OFHC_Cu"].strength.set == "Preston_2003"
-    assert "strength = 'Preston_2003': Ni has no such" in materials.from_scene({}, "Preston_2003", {"Ni"})[1][0]
+    assert (
+        "strength = 'Preston_2003': Ni has no strength set or law"
+        in materials.from_scene({}, "Preston_2003", {"Ni"})[1][0]
+    )
     assert catalogue["Cu"].strength.set == ""  # numbers of its own: no set of the library
     other = {
         "Own": {

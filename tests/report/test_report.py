@@ -384,7 +384,7 @@ def test_a_step_that_broke_down_is_named(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "run")
     with h5py.File(copy / "particle.vtkhdf", "a") as file:
         file["VTKHDF/PointData/T"][-1] = np.nan
-    with pytest.raises(StoreError, match="step 1 holds values that are not numbers"):
+    with pytest.raises(StoreError, match="step 1 has values that are not finite numbers"):
         section_picture(Result(copy))
     section_picture(Result(copy), tmp_path / "first.png", step=0)
 

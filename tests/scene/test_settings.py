@@ -54,8 +54,8 @@ def test_all_problems_of_settings_are_those_of_a_file(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("particle.velocity=1 m/s", 'say which, as "particle[1]"'),
-        ("particle[4].velocity=1 m/s", 'say which, as "particle[1]"'),
+        ("particle.velocity=1 m/s", 'name one of them, such as "particle[1]"'),
+        ("particle[4].velocity=1 m/s", 'name one of them, such as "particle[1]"'),
         ("substrate[2].height=1 um", "no table substrate[2]"),
         ("preset.x=1", "preset is no table"),
         ("a..b=1", "is not a key of a scene"),

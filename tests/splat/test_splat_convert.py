@@ -107,11 +107,13 @@ def test_a_surface_that_is_not_the_bodys_is_not_believed() -> None:
     vertices, triangles = cloud.surface
     splat = convert(replace(cloud, surface=(1.3 * vertices, triangles)), 1.7 * cloud.spacing)
     assert "density" in splat.report["method"]
-    assert "the carried surface holds" in splat.report["failed"][0]
+    assert "the volume in the carried surface" in splat.report["failed"][0]
     is_good(splat.bodies[0], cloud.solid_volume)
 
 
-@pytest.mark.parametrize(("failure", "message"), [(dies, "SIGSEGV"), (hangs, "not done after")], ids=["dies", "hangs"])
+@pytest.mark.parametrize(
+    ("failure", "message"), [(dies, "SIGSEGV"), (hangs, "did not finish within")], ids=["dies", "hangs"]
+)
 def test_a_mesher_that_dies_or_hangs_is_replaced(
     failure: Callable[..., None], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,7 +181,7 @@ def test_bad_clouds_are_refused_with_a_remedy(what: str) -> None:
     [
         (0.0, "auto", "element_size must be positive"),
         (float("nan"), "auto", "element_size must be positive"),
-        (1e-9, "auto", "give a larger size, at least"),
+        (1e-9, "auto", "give a larger element size, at least"),
         (3.4e-6, "best", "choose one of auto, carried"),
     ],
 )

@@ -132,7 +132,7 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
         "empty.csv": ("", "it is empty"),
         "words.csv": ("a,b,c\n1,2,3\n", "its columns are a, b, c: name them with --columns"),
         "ragged.csv": ("1,2,3\n1,2\n", "line 1 has 3 columns, line 2 has 2"),
-        "text.csv": ("1,2,3\n1,2,three\n", "line 2, column 3: 'three' is no number"),
+        "text.csv": ("1,2,3\n1,2,three\n", "line 2, column 3: 'three' is not a number"),
         "flat.csv": ("\n".join(f"{i % 10},{i // 10},0" for i in range(100)), "plane"),
         "few.csv": ("\n".join(f"{i % 4},{i // 4 % 4},{i // 16}" for i in range(40)), "50 or more"),
         "far.csv": (
@@ -156,7 +156,7 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
         ([str(good), "--size", "-5 um"], "more than zero"),
         ([str(good), "--unit", "parsec"], "unknown unit"),
         ([str(good), "--spacing", "1 nm"], "check the spacing"),
-        ([str(good), "--size", "1 nm"], "give a larger size"),
+        ([str(good), "--size", "1 nm"], "give a larger element size"),
         ([str(good), "--out", str(tmp_path / "not" / "there.vtu")], "cannot write"),
     ]
     for arguments, told in cases:

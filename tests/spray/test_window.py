@@ -113,7 +113,8 @@ def test_the_command_prints_tabulates_and_draws(tmp_path: Path, capsys: pytest.C
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--powder", "25 um", "15 um", "40 um"], "must not fall"), (["--powder", "15", "25 um", "40 um"], '--powder "15" has no unit'),
+        (["--powder", "25 um", "15 um", "40 um"], "in ascending order"),
+        (["--powder", "15", "25 um", "40 um"], '--powder "15" has no unit'),
         ([*POWDER, "--material", "42CrMo4"], "has no sigma_TS"), ([*POWDER, "--within", "half"], "--within"),
         ([*POWDER, "--within", "150%"], "above 0 and up to 100"),
     ],

@@ -170,7 +170,9 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     assert unlike.derived.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
     pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
     assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * refinement.points_for(asked / 100)
-    with pytest.raises(refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be had: with 64000 points the shape"):
+    with pytest.raises(
+        refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be reached: the error of the shape at 64000 points"
+    ):
         command.chosen(scene_with(), None, "0.01%")
 
 
@@ -179,9 +181,9 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     [
         (["--within", "soon"], "--within soon: "),
         (["--within", "0s"], "must be more than zero"),
-        (["--accuracy", "2"], "--accuracy '2' is no uncertainty"),
-        (["--accuracy", "0%"], "is no uncertainty"),
-        (["--accuracy", "0.001%"], "cannot be had"),
+        (["--accuracy", "2"], "--accuracy '2' is not an uncertainty"),
+        (["--accuracy", "0%"], "is not an uncertainty"),
+        (["--accuracy", "0.001%"], "cannot be reached"),
     ],
 )
 def test_what_cannot_be_chosen_is_one_clear_message(options, complaint, tmp_path, capsys):

@@ -119,7 +119,7 @@ def test_too_little_for_a_map(finished) -> None:
         interpolate(rows[:3], "flattening_ratio")
     with pytest.raises(StoreError, match="2 values of diameter"):
         interpolate([row for row in rows if row["diameter_m"] < 20e-6], "flattening_ratio")
-    with pytest.raises(StoreError, match="flatening is no column"):
+    with pytest.raises(StoreError, match="flatening is not a column"):
         interpolate(rows, "flatening")
 
 
@@ -382,7 +382,7 @@ def test_any_key_of_the_scene_is_an_axis(tmp_path, capsys) -> None:
     assert cli.main(["map", str(tmp_path), "--axes", "contact.frction"]) == 2
     assert "contact.friction" in capsys.readouterr().err
     assert cli.main(["map", str(tmp_path), "--axes", "contact.friction", "particle.velocity"]) == 2
-    assert "--axes particle.velocity: all 4 points have the same value there" in capsys.readouterr().err
+    assert "--axes particle.velocity: all 4 points have the same value of this key" in capsys.readouterr().err
 
 
 def test_levels_of_a_band_are_those_of_its_own_values() -> None:

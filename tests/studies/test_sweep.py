@@ -62,7 +62,7 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
         (points() | {"target": {"width": 3}}, "target.width"),
         (points() | {"ensemble": {"runs": 3}}, "give .points"),
         ({"scene": SHARED, "ensemble": {"runs": 0, "velocity": {"mean": "500 m/s", "deviation": "3 K"}}},
-         "whole number from 1 to 10000\n.*one dimension"),
+         "whole number from 1 to 10000\n.*the same dimension"),
         ({"scene": SHARED, "ensemble": {"runs": 3, "velocity": {"mean": 5}}}, "expected a distribution"),
         (points() | {"scene": "absent.toml"}, "absent.toml"),
     ):  # fmt: skip
@@ -289,7 +289,7 @@ def test_executors(tmp_path, monkeypatch) -> None:
     with pytest.raises(PlacementError, match="two ranks or more"):
         executor("mpi", 1, tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(PlacementError, match="sbatch is not installed"):
+    with pytest.raises(PlacementError, match="sbatch, which is not installed"):
         executor("slurm", 1, tmp_path)
     monkeypatch.setenv("PMI_RANK", "3")
     assert "PMI_RANK" not in own_environment()

@@ -75,10 +75,10 @@ def test_the_same_points_in_every_form(name: str, tmp_path: Path) -> None:
         ("a,b,c\n1,2,3\n", "its columns are a, b, c: name them with --columns"),
         ("x [um],y [mm],z [um]\n1,2,3\n", "different units: mm, um"),
         ("x,y,z\n1,2,3\n1,2\n", "line 2 has 3 columns, line 3 has 2"),
-        ("x,y,z\n1,2,3\n1,two,3\n", "line 3, column 2: 'two' is no number"),
-        ("\n".join(f"{k},0.5,{k}.5" for k in range(20)), "no three columns"),
-        ("x,y\n1,2\n", "no line of it has three numbers"),
-        ("x,y,z,X\n1,2,3,4\n", "two of its columns have one name"),
+        ("x,y,z\n1,2,3\n1,two,3\n", "line 3, column 2: 'two' is not a number"),
+        ("\n".join(f"{k},0.5,{k}.5" for k in range(20)), "it needs three columns"),
+        ("x,y\n1,2\n", "none of its lines has three numbers"),
+        ("x,y,z,X\n1,2,3,4\n", "two of its columns have the same name"),
     ],
 )
 def test_what_is_not_sure_is_refused(content: str, told: str, tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_columns_are_named_by_the_user(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="it has 5 columns, 6 names are given"):
         read_points(tmp_path / "a.csv", (), list("xyzabc"))
     np.savez(tmp_path / "a.npz", points=BALL)
-    with pytest.raises(InputError, match="has no columns to name"):
+    with pytest.raises(InputError, match="has no named columns"):
         read_points(tmp_path / "a.npz", (), list("xyz"))
 
 
