@@ -21,7 +21,7 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
 class ContactPast(NamedTuple):
-    """What a contact between bodies leaves to that between others. nodes (N,): history of each node; lost, friction_heat,
+    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node; lost, friction_heat,
     dropped_energy (J), dropped: see `BodyContact` and `ContactState`."""
 
     nodes: Histories
@@ -31,7 +31,7 @@ class ContactPast(NamedTuple):
     dropped: int = 0
 
     def on(self, node: np.ndarray, count: int) -> "ContactPast":
-        """The same for `count` other nodes, of which node (N,) is each of these, -1 of one that is not there."""
+        """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 of a removed node."""
         nodes, kept = new_history(count), node >= 0
         nodes[node[kept]] = self.nodes[kept]
         return self._replace(nodes=nodes)
@@ -39,7 +39,7 @@ class ContactPast(NamedTuple):
 
 @dataclass(frozen=True)
 class BodyContactState:
-    """lost: energy (J) that the handing over of nodes by bonds has lost; bonded (N,): nodes whose compression a bond resists."""
+    """lost: energy (J) lost where compression passes from bonds to the contact; bonded (N,): nodes whose compression a bond resists."""
 
     lost: float
     contact: ContactState
@@ -49,21 +49,21 @@ class BodyContactState:
 class BodyContact:
     """Surface nodes of each body against the facets of all others, so that neither side of a pair lies in the other.
 
-    A node stands for the mean area of a node, at the spacing of its body's surface, for the substrate, whose own grows outwards, of
-    that of the first splat; friction as in `Contact`. Nodes
-    that a bond holds to a body meet the others; those of the other side between them meet both. Bodies fitted together
-    (`Interface.fitted`) begin all but without a force.
+    The stiffness uses the mean area per node, from the facet spacing of the body's surface; the substrate, whose mesh coarsens
+    outwards, uses the spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body it is bonded
+    to, only with other bodies; an unbonded node has contact with all other bodies. Bodies with fitted interfaces
+    (`Interface.fitted`) start with almost zero contact force.
     """
 
     def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
-        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError where
-        the number of bulk moduli is not that of the bodies."""
+        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError unless there is one bulk
+        modulus for each body."""
         if len(bulk_modulus) != surfaces.bodies:
             raise SolverError(
                 f"contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, got {len(bulk_modulus)}"
             )
         self.surfaces = surfaces
-        self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
+        self.lost = 0.0  # energy lost where compression passes from bonds to the contact (gained: negative), J
         self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold
         self._body_of = np.full(len(x), ANY)
         self._body_of[surfaces.facets] = surfaces.body[:, None]
@@ -101,7 +101,7 @@ class BodyContact:
 
     @property
     def energy(self) -> float:
-        """What the contact stores, has turned into heat and has dropped, J."""
+        """Energy that the contact stores, that friction has turned into heat, and that dropped contacts had stored, J."""
         c = self.pairs
         return c.penalty_energy + c.friction_heat + c.dropped_energy
 
@@ -126,10 +126,10 @@ class BodyContact:
     def search(
         self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None, v: np.ndarray | None = None
     ) -> None:  # fmt: skip
-        """Find the pairs that can touch before surfaces have moved `travel` m against each other: `Contact.search`, as active and v.
+        """Find the pairs that can touch before surfaces have moved `travel` m relative to each other. active, v: see `Contact.search`.
 
-        x (N,3) m. Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
-        does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
+        x (N,3) m. Compression at broken bonds and at bonds with large slip passes from the bond to the contact (`Bond.release`); the
+        spring energy lost in this change is added to `lost`, J. Raises SolverError when the positions are not finite numbers.
         """
         given_up = bond.release() if bond is not None else 0.0
         bonded, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
@@ -144,13 +144,13 @@ class BodyContact:
         c.points.partner[:] = partner[node]
         c.forget(handed_over[node])
         c.search(x[node], x, travel, active=active, v=v)
-        if changed:  # a step of no time tells what the contact holds with its new nodes
+        if changed:  # a step of zero length gives the energy that the contact stores with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy(), active)
             self.lost += given_up + before - self.energy
 
     def meet(self, depth: np.ndarray) -> None:
-        """Let nodes without a contact force, depth (N,) m deep in another body, begin one that ignores all of this depth."""
+        """Start contacts of nodes without contact force that lie depth (N,) m deep in another body; all of this depth is ignored."""
         c, own = self.pairs, depth[self.pairs.points.node]
         new = (own > 0.0) & (c.depth == 0.0)
         c.history["ignored"][new, 0] = own[new]
@@ -166,7 +166,7 @@ class BodyContact:
         self.pairs.forces_between(dt, Nodes(x, v, f, len(x) if active is None else active))
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
-        """Heat of friction since the last call, for `Target.warm`: (elements, J), those behind nodes and facets that rubbed."""
+        """Heat of friction since the last call, for `Target.warm`: (elements, J), the elements behind nodes and facets that slid."""
         c, of_node = self.pairs, np.zeros(len(self._bonded))
         of_node[c.points.node] = c.heat_point
         of_pair = (of_node * self._share_of_node)[self._behind[0]]
@@ -177,7 +177,7 @@ class BodyContact:
         return elements, heat
 
     def state(self) -> BodyContactState:
-        """Everything there is to keep."""
+        """State of the contact, for a checkpoint."""
         return BodyContactState(self.lost, self.pairs.state(), self._bonded.copy())
 
     def restore(self, state: BodyContactState) -> None:
@@ -188,13 +188,13 @@ class BodyContact:
         self._bonded, self._is_new, self.lost = state.bonded.copy(), False, state.lost
 
     def past(self) -> ContactPast:
-        """What the contact of other bodies goes on from. Heat must have been fetched before."""
+        """Data from which the contact of another set of bodies continues (`go_on`). Call `heat` before."""
         c, nodes = self.pairs, new_history(len(self._bonded))
         nodes[c.points.node] = c.history
         return ContactPast(nodes, self.lost, c.friction_heat, c.dropped_energy, c.dropped)
 
     def go_on(self, past: ContactPast) -> None:
-        """Take over what the contact of other bodies has left, for the nodes of these: friction springs and ledger continue."""
+        """Continue from the contact of the previous set of bodies: keep its friction springs and its energy sums."""
         c = self.pairs
         c.history[:] = past.nodes[c.points.node]
         c.history["body"] = ANY  # the bodies had other numbers

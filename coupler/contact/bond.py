@@ -24,7 +24,7 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 
 @dataclass(eq=False)
 class Bond:
-    """Nodes of one body tied to fixed places on facets of another, each by a cohesive spring of its own.
+    """Nodes of one body tied to fixed points on facets of another, each by a cohesive spring of its own.
 
     Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent:
     the envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of mixed modes for
@@ -32,7 +32,7 @@ class Bond:
     compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the contact
     of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
 
-    Of n bonds: nodes, or points that are none; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
+    Of n bonds: nodes, or points that are not nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
     Pa and energy (n,2) J/m2, normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0:
     none); loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m, elastic;
     traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies. exponent:
@@ -80,12 +80,12 @@ class Bond:
         rewelds: float | np.ndarray = 0.0,
         xp: Any = None,
     ) -> "Bond":
-        """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`); xp (n,3) m: the points
-        that are tied, where they are no nodes.
+        """Tie the nodes of an interface in their present positions, without a force. x (N,3) m; stiffness Pa/m (see `penalty`);
+        xp (n,3) m: the tied points, if these are not nodes.
 
-        strength Pa and energy J/m2: of the normal direction, one or one for each row of the interface; the shear ones are
+        strength Pa and energy J/m2: of the normal direction, one value or one for each row of the interface; the shear values are
         equal to them by default. exponent, rewelds: as in `Bond`. Rows without area are left
-        out. Raises SolverError for a strength or energy that makes no sense with this stiffness.
+        out. Raises SolverError for a strength or energy that does not fit this stiffness.
         """
         kept = where.area > 0.0
         nodes, triangles = where.nodes[kept], np.ascontiguousarray(surfaces.facets[where.facet[kept]])
@@ -113,15 +113,15 @@ class Bond:
         return self.damage >= 1.0
 
     def forces(self, x: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. active: number of active nodes
-        (default: all); what does not move keeps its forces."""
+        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m, and update the damage. active: number of active nodes
+        (default: all); bonds between inactive nodes keep their forces."""
         self.forces_on(x, f, x, f, self._uncovered, len(x) if active is None else active)
 
     def forces_on(
         self, xp: np.ndarray, f_point: np.ndarray, x: np.ndarray, f: np.ndarray, depth: np.ndarray, active: int
     ) -> None:  # fmt: skip
-        """`forces`, where the points xp that are tied are no nodes. depth (n,) m: of a contact that presses them, for bonds that leave
-        compression to it (`bond_kernels.bond_forces`)."""
+        """`forces`, where the tied points xp are not nodes. depth (n,) m: depth of a contact that presses the points, for bonds that
+        leave compression to it (`bond_kernels.bond_forces`)."""
         ties = k.Ties(
             self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, *self._inverses, self.rewelds,
             self.loose, self.damage, self.opening, self.traction, self.slid, self.spent, self.exponent,
@@ -147,36 +147,36 @@ class Bond:
 
     @property
     def soundness(self) -> np.ndarray:
-        """Share (n,) of the fracture energy that each bond has left: the triangle of the strength that is left."""
+        """Share (n,) of the fracture energy that each bond has left: the square of the share of its strength that is left."""
         return (1.0 - self.damage) ** 2
 
     def load(self, size: int) -> np.ndarray:
-        """What the springs add to each of `size` nodes in the bound on omega^2, N/m: largest load / mass (Gershgorin)."""
+        """Row sums (size,) of the springs' stiffness matrix, N/m: the largest sum / mass bounds omega^2 (Gershgorin)."""
         load = np.zeros(size)
         self.load_on(load, load)
         return load
 
     def load_on(self, load_point: np.ndarray, load: np.ndarray) -> None:
-        """Add it to that of the points that are tied, and of the nodes."""
+        """Add `load` to the loads load_point of the tied points and load of the nodes, N/m."""
         k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load_point, load)
 
     def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1. active: of
-        the first so many nodes (default: all)."""
+        """Add to f (N,3) N the product of the springs' stiffness matrix with a small motion w (N,3) m; no bond may be broken. active:
+        number of nodes that move, the first ones (default: all)."""
         strength = self.stiffness * self.area
         k.spring_forces(self.nodes, self.triangles, self.weights, strength, w, len(w) if active is None else active, f)
 
     def springs(self) -> SpringTable:
-        """Those that are not broken."""
+        """Table of the springs that are not broken."""
         whole = ~self.broken
         return SpringTable.of(
             self.nodes[whole], self.triangles[whole], self.weights[whole], (self.stiffness * self.area)[whole]
         )
 
     def release(self) -> float:
-        """Drop broken bonds, and leave the compression of those that have slid far to the contact.
+        """Drop broken bonds, and leave the compression of bonds with a slip above MAX_SLIDE to the contact.
 
-        Returns the energy (J) that their compression held.
+        Returns the energy (J) that their compression stored.
         """
         if len(self) == 0:
             return 0.0
@@ -209,7 +209,7 @@ class Bond:
 
     def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
         """`move` bonds `rows` (k,) to their own triangles, and make them stiffer by factors (k,), but no stiffer (N/m) than the median
-        of all bonds: what is as stiff stays as it is. x (N,3) m."""
+        of all bonds; bonds that are as stiff do not change. x (N,3) m."""
         if len(rows) == 0:
             return
         springs = self.stiffness * self.area
@@ -225,7 +225,7 @@ class Bond:
             self._moved = self._moved[:0]
 
     def drop(self, gone: np.ndarray) -> None:
-        """Take bonds (mask) out. What they hold is dissipated."""
+        """Remove bonds (mask). The energy that they store is dissipated."""
         lost = float(self.stored_by_each[gone].sum())
         self.stored, self.dissipated = self.stored - lost, self.dissipated + lost
         self._keep(~gone)
@@ -249,7 +249,7 @@ class Bond:
         return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
     def state(self) -> "Bond":
-        """A copy of them, as a checkpoint holds it."""
+        """A copy of the bonds, for a checkpoint."""
         return copied(self)
 
 

@@ -143,13 +143,13 @@ class Contact:
         self, xp: Floats, x: Floats, travel: float, always: Sequence[int] | Ints = (), active: int | None = None,
         v: Floats | None = None,
     ) -> bool:  # fmt: skip
-        """Find the pairs that can touch before surfaces have moved `travel` m against each other.
+        """Find the pairs that can touch before surfaces have moved `travel` m relative to each other.
 
         xp (n,3) points, x (N,3) nodes, m; always: points that `rows` has in any case; active: number of nodes that move, the first ones
         (default: all).
         A point keeps its forces and is not among `rows` where neither it nor a face near it moves. v (N,3) m/s: then slow surfaces
-        move by their share of `travel` only. Returns whether anything was searched: what a body's points have found holds until
-        surfaces have moved too far. Raises SolverError when the positions are no longer numbers.
+        move by their share of `travel` only. Returns whether anything was searched: the candidates of a body's points stay valid until
+        surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
@@ -312,8 +312,8 @@ class Contact:
         return rows, self._meeting.face[rows, 0]
 
     def springs(self) -> list[SpringTable]:
-        """Those of all points that may touch before the next search, at the places closest to them, and at those in a second body in
-        which they lie now; between the nodes that the points are and those of the faces."""
+        """Tables of the contact springs that can act before the next search: each joins a point's node to the nodes of the closest
+        face, and, where the point lies in a second body, to the nodes of the closest face of that body."""
         tables, m = [], self._meeting
         for body in (0, 1):
             rows = self.rows[m.face[self.rows, body] >= 0]
@@ -324,7 +324,7 @@ class Contact:
         return tables
 
     def load(self, size: int) -> Floats:
-        """What the springs of all that may touch can add to each of `size` nodes in the bound on omega^2, N/m; see `Bond.load`."""
+        """Row sums (size,) of the stiffness of all springs that can act before the next search, N/m; see `Bond.load`."""
         load, rows, k_2 = np.zeros(size), self.rows, 2.0 * self.points.stiffness
         for body in np.unique(self.points.owner[rows]):
             own = slice(self.bounds[body], self.bounds[body + 1])

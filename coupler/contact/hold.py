@@ -29,7 +29,7 @@ class BondedPlaces:
     damage: np.ndarray
 
     def near(self, points: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """The nearest place to each of the points (n,3): its index (n,), and whether it is no farther than `distance` m (n,)."""
+        """The nearest bonded place to each of points (n,3) m: its index (n,), and whether it lies within `distance` m (n,)."""
         if len(self.points) == 0:
             return np.zeros(len(points), np.int64), np.zeros(len(points), bool)
         away, index = cKDTree(self.points).query(points)
@@ -53,7 +53,7 @@ class Hold:
 
     @property
     def rows(self) -> Ints:
-        """The points (n,) that are held."""
+        """Indices (n,) of the bonded points."""
         return self.bond.nodes
 
     def forces(
@@ -77,30 +77,30 @@ class Hold:
 
     @property
     def whole(self) -> np.ndarray:
-        """Mask (n,) of the springs that still hold."""
+        """Mask (n,) of the springs that are not broken."""
         return ~self.bond.broken
 
     def places(self, xp: np.ndarray) -> "BondedPlaces":
-        """Where the springs hold, and their laws. xp as for `forces`."""
+        """Points at which unbroken springs act, and their laws. xp as for `forces`."""
         b, whole = self.bond, self.whole
         return BondedPlaces(xp[self.rows[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
 
     @property
     def energy(self) -> float:
-        """What the springs hold and have dissipated, J."""
+        """Energy that the springs store and have dissipated, J."""
         return self.bond.stored + self.bond.dissipated
 
     @property
     def resistance(self) -> float:
-        """Energy (J) that the springs together can still take up before they part; 0 where fewer than FEWEST hold."""
+        """Energy (J) that the springs together can still absorb before they break; 0 if fewer than FEWEST are unbroken."""
         return float(self.bond.resistance.sum()) if np.count_nonzero(self.whole) >= FEWEST else 0.0
 
     def gives_way(self, energy: float) -> bool:
-        """Whether an energy (J) that parts the springs is far more than all of them can take up."""
+        """Whether an energy (J) that pulls on the springs is far more than all of them can absorb."""
         return SECURE * float(self.bond.resistance.sum()) <= energy
 
     def state(self) -> Bond:
-        """State of the springs, as a checkpoint holds it."""
+        """State of the springs, for a checkpoint."""
         return self.bond.state()
 
 
