@@ -31,7 +31,8 @@ FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 @dataclass(frozen=True)
 class BodiesState:
-    """Substrate and splats with all that acts between them. placed (n,3) m: see `Bodies`, as for body (m,), impact and buried (b,)."""
+    """State of substrate and splats, with bonds and contact between them. placed (n,3) m, body (m,), impact, buried (b,): see
+    `Bodies`."""
 
     mesh: TetMesh
     target: TargetState
@@ -46,9 +47,9 @@ class BodiesState:
 
 @dataclass
 class Bodies:
-    """Substrate (body 0) and splats. target: the one domain; body (m,): whose each element is; impact (bodies,): the number of the
-    impact that each has come with, from 1 on, 0 of the substrate; fixed, absorbing: names of facet sets; bond, contact: between bodies,
-    None while there is only the substrate."""
+    """Substrate (body 0) and splats. target: their common domain; body (m,): the body of each element; impact (bodies,): the number of
+    the impact that made each body, from 1 on, 0 for the substrate; fixed, absorbing: names of facet sets; bond, contact: between
+    bodies, None while there is only the substrate."""
 
     target: Target
     body: np.ndarray
@@ -79,7 +80,7 @@ class Bodies:
         return BodyContact(self.surfaces, placed, [float(K) for K in self.target.laws["K"]], self.friction)
 
     def past(self) -> ContactPast | None:
-        """What the contact between other bodies goes on from."""
+        """Data from which the contact of another set of bodies continues."""
         return self._past if self._contact is None else self._contact.past()
 
     @property
@@ -124,7 +125,7 @@ class Bodies:
             self.target.warm(*self._contact.heat())
 
     def forces(self, dt: float) -> None:
-        """Add what bodies do to each other at this instant to the target's outer forces."""
+        """Add the forces of bonds and contact between bodies at this instant to the target's external forces."""
         t = self.target
         if self.contact is not None:
             self.contact.forces(dt, t.nodes.x, t.nodes.v, t.f_ext, t.active_nodes)
@@ -138,19 +139,19 @@ class Bodies:
         return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.most_nodes)
 
     def springs(self) -> list[SpringTable]:
-        """Those of bonds and contact between the bodies; after a search."""
+        """Tables of the springs of bonds and contact between the bodies. Call it after a search."""
         springs = self.contact.pairs.springs() if self.contact is not None else []
         return [*springs, self.bond.springs()] if self.bond is not None else springs
 
     @property
     def energy(self) -> float:
-        """What contact and bonds between bodies hold and have dissipated, J."""
+        """Energy that contact and bonds between bodies store and have dissipated, J."""
         c, b = self.contact, self.bond
         energy = c.energy + c.lost if c is not None else 0.0
         return energy + (b.stored + b.dissipated if b is not None else 0.0)
 
     def state(self) -> BodiesState:
-        """Everything from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
+        """State from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
         return BodiesState(
             self.target.mesh, self.target.state(), self.contact.state() if self.contact is not None else None,
             self.bond.state() if self.bond is not None else None,
@@ -161,7 +162,7 @@ class Bodies:
     def from_state(
         cls, state: BodiesState, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float, conduction: bool
     ) -> "Bodies":
-        """Bodies as a `state` has them. Raises CheckpointError where its parts do not fit each other."""
+        """Bodies made from a `state`. Raises CheckpointError where its parts do not fit each other."""
         mesh = state.mesh
         _check(state)
         T = state.target.elements.T
@@ -217,7 +218,7 @@ class Bodies:
         self.contact.meet(depth)
 
     def reduce_overlap(self, share: float) -> None:
-        """Leave this share of the depths that contacts ignore and at which bonds that `separate` has moved are at rest."""
+        """Reduce the depths that contacts ignore, and the rest depths of bonds that `separate` has moved, to this share of them."""
         for each in (self.contact, self.bond):
             if each is not None:
                 each.reduce_overlap(share)
@@ -272,8 +273,8 @@ class Bodies:
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
-        """The same, numbered outwards from the nearest of these points, in shells of so many m (`merge`); only what is near them is
-        active."""
+        """The same bodies, numbered outwards from the nearest of these points, in shells of this thickness (m, `merge`); only what is
+        near the points is active."""
         self.release_heat()
         domain, rank = merge([domain_now(self.target, self.body)], *origins, shell=shell)
         return self.on(domain, rank, self.buried)
@@ -290,9 +291,9 @@ class Bodies:
         return new
 
     def attached(self) -> np.ndarray:
-        """Mask (bodies,) of those from which a path of unbroken bonds leads to the substrate.
+        """Mask (bodies,) of the bodies from which a path of unbroken bonds leads to the substrate.
 
-        Bonds alone hold: that splats may be locked into each other by their shape is not modelled.
+        Only bonds count: mechanical interlocking of splats is not modelled.
         """
         pairs = np.zeros((2, 0), np.int64)
         if self.bond is not None:
@@ -303,7 +304,7 @@ class Bodies:
         return np.asarray(part == part[0])
 
     def without(self, gone: np.ndarray, size: float) -> "Bodies":
-        """These bodies less those of a mask (bodies,), with which their contact and bonds go. size: of the splats' elements, m.
+        """These bodies without the bodies of a mask (bodies,) and their contact and bonds. size: of the splats' elements, m.
 
         The result is not in equilibrium. Facets that the removed bodies covered become reachable again.
         """
@@ -337,7 +338,7 @@ class Bodies:
         return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
-        """Bodies from a domain, the ledger going on from that of these."""
+        """Bodies of a changed domain; their ledger continues from the ledger of these bodies."""
         target = Target(
             domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
@@ -346,13 +347,13 @@ class Bodies:
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
     def touch(self, past: ContactPast | None = None) -> None:
-        """Let the contact between bodies begin where they are now; it goes on from the `past` of another, for the nodes of these."""
+        """Set up the contact between bodies in their present positions; it continues from the `past` of another contact."""
         self.placed = self.target.nodes.x.copy()
         self._contact, self._past = None, past or ContactPast(new_history(len(self.placed)))
 
 
 def _check(state: BodiesState) -> None:
-    """Raise CheckpointError where arrays have other lengths than the mesh, or point at what is not there."""
+    """Raise CheckpointError where arrays have other lengths than the mesh, or refer to rows that do not exist."""
     mesh, n, m = state.mesh, len(state.mesh.points), len(state.mesh.conn)
     facets, placed = len(mesh.facets), [] if state.placed is None else [state.placed]
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)

@@ -38,20 +38,20 @@ RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is m
 
 
 class Known:
-    """What one equilibrium leaves to the next of the same bodies: the coarse grid and the fastest motion of the elements."""
+    """Data that one equilibrium passes to the next of the same bodies: the coarse grid and the fastest motion of the elements."""
 
     def __init__(self) -> None:
         self._highest: HighestFrequency | None = None
         self._grid: tuple[int, CoarseGrid] | None = None
 
     def highest(self, t: Target) -> HighestFrequency:
-        """Of the elements; it begins with the motion found before."""
+        """Highest squared frequency of the elements; the iteration starts from the motion found before."""
         if self._highest is None:
             self._highest = HighestFrequency(len(t.nodes.x), len(t.mesh.conn))
         return self._highest
 
     def grid(self, bodies: Bodies, relaxation: Relaxation) -> CoarseGrid:
-        """Of the active elements and what acts between them: that of before where they are the same ones."""
+        """Coarse grid of the active elements and of the springs between them; the previous grid if the elements are the same."""
         t = bodies.target
         if self._grid is None or self._grid[0] != t.active_elements:
             grid = CoarseGrid(t, relaxation.free, relaxation.mass, relaxation.dt, bodies.springs())
@@ -97,7 +97,7 @@ def settle(
 
 
 def _stored(bodies: Bodies) -> float:
-    """Energy (J) of all that is not motion: what it loses, damping has taken."""
+    """Energy (J) without the kinetic energy: its loss is the energy that damping has taken."""
     t = bodies.target
     return t.elastic() + float(t.sums[0]) + bodies.energy
 

@@ -29,7 +29,7 @@ def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarra
 
 
 def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
-    """Where the axis of each particle at an offset (m) meets what lies there, (x, y, z) m: waves and windows begin there."""
+    """Impact points (x, y, z) m, where the axis of each particle at an offset (m) meets the surface: waves and windows begin there."""
     t = bodies.target
     if bodies.count == 1 and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
         return [(*offset, 0.0) for offset in offsets]
@@ -38,7 +38,7 @@ def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> 
 
 
 def near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
-    """Bodies whose boxes come within a radius of one of the places, m."""
+    """Bodies whose bounding boxes come within a radius of one of the places, m."""
     low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
     at = np.array(places)[:, None]
     away = np.maximum(np.maximum(low - at, at - high), 0.0)
@@ -58,7 +58,7 @@ def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarr
 
 
 def means_of(bodies: Bodies, body: int) -> dict[str, float]:
-    """What a body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
+    """Means over the elements of a body of von Mises stress, pressure, plastic strain and temperature."""
     t = bodies.target
     own = bodies.body == body
     weight = t.elements.volume[own]
@@ -73,7 +73,7 @@ def means_of(bodies: Bodies, body: int) -> dict[str, float]:
 
 
 def splats_at_end(bodies: Bodies, diameters: Sequence[float], levels: Sequence[float]) -> list[dict[str, float] | None]:
-    """How the splats of the first impacts stand in the target: measures of shape, SI; None for one that has left.
+    """Measures of the shape of the splats of the first impacts in the target, SI; None for a splat that has left.
 
     diameters (k,) m: of their particles; levels (k,) m: height of the surface that each particle met.
     """
