@@ -27,7 +27,7 @@ _POLL = 0.5  # s between two looks for a signal
 
 @dataclass(frozen=True)
 class Done:
-    """A task that has ended: its cut and its result; the error in the place of one that fails."""
+    """A task that has ended: its cut and its result, or its error if it failed."""
 
     task: Task
     cut: Cut
@@ -35,7 +35,7 @@ class Done:
 
     @property
     def of(self) -> TaskResult:
-        """The result; raises the error of a task that has failed."""
+        """The result. Raises the error of a task that has failed."""
         if isinstance(self.result, ColdsprayError):
             raise self.result
         return self.result
@@ -43,7 +43,7 @@ class Done:
 
 @contextlib.contextmanager
 def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor | None]:
-    """The executor for batches; None where all is computed in this process."""
+    """The executor for batches; None if all impacts are computed in this process."""
     widest = max(batch.stop - batch.first for batch in plan.batches)
     if min(options.jobs, widest) == 1 or options.ranks.size > 1 or options.probe is not None:
         yield None
@@ -72,7 +72,7 @@ def tasks(
 def side_by_side(
     pool: Executor, found: Iterator[tuple[Task, Cut]], folder: Path, options: RunOptions, meanwhile: Callable[[], None]
 ) -> list[Done]:
-    """The tasks `found` in processes, which the file STOP in a folder ends.
+    """Compute the tasks `found` in processes; the file STOP in the folder stops them.
 
     Each task begins as soon as its cut is made: workers do not wait for the cuts of others. Those at a time share the threads of the
     run; as tasks end the file SPARE gives more of them to each that is left. meanwhile(): called once, while they compute. Raises

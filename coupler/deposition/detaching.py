@@ -16,7 +16,7 @@ REASON = "no path of unbroken bonds leads to the substrate"
 
 
 def release_time(plan: Plan) -> float:
-    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
+    """Time (s) for which the energy released after joining is observed: a wave crosses the largest particle, of 25 um at the most."""
     return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
@@ -43,7 +43,7 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
 
 
 def held_at_rest(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
-    """Bodies at rest less those that are not attached: what is left comes to rest anew, until all are attached. Arguments as for
+    """Bodies at rest without those that are not attached: the others come to rest again, until all are attached. Arguments as for
     `without_detached`; kinetic_0: J of the impact."""
     records: list[Values] = []
     while True:

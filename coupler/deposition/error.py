@@ -39,7 +39,7 @@ class Companions:
     _process: BaseProcess | None = None
 
     def begin(self, on_another_core: bool) -> None:
-        """Called when the folder of the run is made: forget those of an earlier run; on another core, start a process for them."""
+        """Called when the folder of the run is made: remove the coarser runs of an earlier run; on another core, start a process."""
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
@@ -48,14 +48,14 @@ class Companions:
             self._process = process
 
     def end(self) -> None:
-        """End the process, however far it is."""
+        """End the process of the coarser runs, finished or not."""
         if self._process is not None:
             self._process.terminate()
             self._process.join()
             self._process = None
 
     def measure(self, threads: int) -> None:
-        """Put the error of each measure into the summary of the finished run; coarser runs that are not there are computed here."""
+        """Put the error of each measure into the summary of the finished run; coarser runs that do not exist are computed here."""
         if self._process is not None:
             self._process.join()
         found = self.all(threads)

@@ -67,7 +67,7 @@ class Deposition:
 
     @property
     def undecided(self) -> bool:
-        """Whether the last impact so far has ended without its end criterion."""
+        """Whether the last impact so far has ended before its end criterion was met."""
         return bool(self.records) and self.records[-1].values["undecided"] is not None
 
     @property
@@ -106,7 +106,7 @@ class Deposition:
         return done
 
     def _done(self, batch: Batch, target: Bodies) -> list[Done]:
-        """`compute` without a look at what has come of it."""
+        """`compute` without the check of its results."""
         found, folder = tasks(self.plan, batch, target, self.folder, self._about), self.folder / TASKS
         if batch.is_whole:  # it writes into the files of the run
             self._catch_up(batch, target)
@@ -183,7 +183,7 @@ class Deposition:
     # ---- impacts that fail ---------------------------------------------------------------------------------------
 
     def _failure(self, done: Done) -> ColdsprayError | None:
-        """Why an impact is left out, or the run ends with it; None of all others."""
+        """The error for which an impact is left out or the run ends; None for all other impacts."""
         if isinstance(done.result, ColdsprayError):
             return done.result
         undecided = done.of.record.values["undecided"]
@@ -192,7 +192,7 @@ class Deposition:
     def _skip(self, task: Task, error: ColdsprayError) -> None:
         """Take an impact that has failed out of the plan, which is written anew, and out of the files of the run.
 
-        Raises the error where nobody has asked for that, or nothing else would be left.
+        Raises the error if the run may not skip impacts, or if no other impact would be left.
         """
         if not self._may_skip:
             raise error
@@ -244,7 +244,7 @@ class Deposition:
         clear(self.folder, len(self.records))
 
     def write_files(self) -> None:
-        """Write what the last batch has left to be written."""
+        """Write the files of the last batch, if they are not written yet."""
         unwritten, self._unwritten = self._unwritten, None
         if unwritten is not None:
             unwritten.write(self.store)
@@ -254,7 +254,7 @@ class Deposition:
         checkpoint.write(self.folder, state, self._about)
 
     def _identity(self) -> dict[str, str]:
-        """What a checkpoint belongs to."""
+        """Data that identify the run of a checkpoint."""
         scene = (Result(self.folder).scene_text + plan_text(self.plan)).encode()
         return {
             "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
@@ -265,7 +265,7 @@ class Deposition:
 
     @property
     def _wall(self) -> float:
-        """Wall time so far, s, that before a resumption included."""
+        """Wall time so far, s, including the time before a resumption."""
         return clock.perf_counter() - self._began
 
     def _summary(self, bodies: Bodies) -> Summary:

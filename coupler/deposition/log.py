@@ -11,8 +11,8 @@ from ..progress import Progress
 
 @contextmanager
 def logged(progress: Progress, store: Store) -> Iterator[None]:
-    """Within it, the run's log file takes what the progress shows, and the error that ends the run; kernels that are compiled are a
-    stage of the progress."""
+    """Context in which the run's log file gets all lines of the progress and the error that ends the run; the compilation of kernels
+    is a stage of the progress."""
     compiling = _Compiling(progress)
     progress.record = store.log
     event.register("numba:compile", compiling)

@@ -19,7 +19,7 @@ SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs o
 
 
 def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
-    """Make bodies at rest, numbered outwards from the place (m) where impact i comes, ready for it; what was done, for the report."""
+    """Prepare bodies at rest, numbered outwards from the place (m) of impact i, for this impact. Returns the entries of the report."""
     report: Values = {}
     if i and plan.mass_scaling:
         p = plan.impacts[i]

@@ -68,7 +68,8 @@ class TaskState:
 
 @dataclass(frozen=True)
 class TaskFiles:
-    """Where a task writes. kept: its last checkpoint, to whose moment `store` has been brought; save: writes one."""
+    """Output files of a task. kept: its last checkpoint, None without one; store: result files, set back to the time of `kept`; save:
+    writes a checkpoint."""
 
     store: Store
     kept: TaskState | None
