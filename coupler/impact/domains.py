@@ -75,7 +75,7 @@ def build_target(plan: Plan) -> Bodies:
 
 
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
-    """The bodies of a kept state."""
+    """The bodies of a stored state."""
     return Bodies.from_state(
         state, plan.target.faces("fixed"), plan.target.faces("absorbing"), plan.friction, plan.effects.conduction
     )

@@ -39,7 +39,7 @@ LOST = 0.01  # share of the points that may lie deeper than a spacing in the tar
 
 @dataclass(frozen=True)
 class ImpactState:
-    """The two domains and the contact between them; the rest as in `Impact`."""
+    """State of the two domains and of the contact between them; other fields as in `Impact`."""
 
     bodies: BodiesState
     particle: ParticleState
@@ -91,8 +91,8 @@ class Impact:
 
     @property
     def grip(self) -> Grip:
-        """How bonds hold the particle: by what they can take up, over the energy there is left to part them: that of the centre of
-        mass normal to the surface, and that stored in the bonds."""
+        """How bonds hold the particle: by the energy that they can absorb over the energy left to break them, which is the kinetic
+        energy of the centre of mass normal to the surface plus the energy stored in the bonds."""
         if self.hold is None or not self.hold.whole.any():
             return "free"
         if self.sinking < 0.0 and self.hold.gives_way(self.normal_energy):
@@ -107,7 +107,7 @@ class Impact:
 
     @property
     def dissipated(self) -> float:
-        """Plastic work and heat of friction so far, J, those of the target before the impact included."""
+        """Plastic work and heat of friction so far, J, including the amounts of the target before the impact."""
         rubbed = 0.0 if self.folding is None else self.folding.contact.friction_heat
         return self.particle.totals.plastic + float(self.target.sums[0]) + self.contact.friction_heat + rubbed
 
@@ -162,7 +162,7 @@ class Impact:
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:
-        """The target's own step, which needs nothing of the particle."""
+        """The target's own step, which needs no data of the particle."""
         self.target.advance(self.particle.dt)
         self.bodies.forces(self.particle.dt)
 
@@ -181,7 +181,7 @@ class Impact:
         t.finish()
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Take note of the clean metal that this chunk has exposed where it touches now."""
+        """Update the clean metal that this chunk of steps has exposed at the touching vertices."""
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
         if self._films is None:
@@ -219,7 +219,7 @@ class Impact:
         self.hold = Hold(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
-        """Which of what touches (k,) bool bonds by the criterion."""
+        """Mask (k,) of the touching vertices that bond by the criterion."""
         rows, area = touching.rows, touching.area[touching.rows]
         if self.exposure is not None:
             sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
@@ -250,7 +250,7 @@ class Impact:
             )
 
     def state(self) -> ImpactState:
-        """Everything that goes on in the next chunk as if nothing had happened."""
+        """State of the impact, from which it continues with the same numbers."""
         return collect(ImpactState, self)
 
     def restore(self, state: ImpactState) -> None:

@@ -14,7 +14,7 @@ from .touching import Touching
 
 @dataclass(eq=False)
 class Exposure:
-    """What the interface has gone through so far, at the v vertices of the particle's surface.
+    """History of the interface so far, at the v vertices of the particle's surface.
 
     clean (v,2): share of clean metal of the two surfaces, the smaller and the larger (`physics.adhesion.clean_share`), when the smaller
     was largest. sound (v,): share of the area at which clean metal has come through the cracks to the other surface, the largest so far
@@ -30,14 +30,14 @@ class Exposure:
 
     @classmethod
     def begin(cls, domains: Domains) -> "Exposure":
-        """That of an impact that begins."""
+        """The exposure at the start of an impact."""
         surface, target = domains.surface, domains.target
         area_0 = vertex_areas(surface.positions(domains.particle.x), surface.triangles)
         n, facet_area_0 = len(area_0), areas(target.nodes.x, target.mesh.facets)
         return cls(area_0, facet_area_0, np.zeros((n, 2)), np.zeros(n), np.zeros(n, bool))
 
     def update(self, domains: Domains, touching: Touching, threshold: np.ndarray) -> None:
-        """Take note of what touches now. threshold (l,): exposure at which the films on each law of the target crack."""
+        """Update the history at the touching vertices. threshold (l,): exposure at which the films on each law of the target crack."""
         target = domains.target
         rows, facets = touching.rows, touching.facets
         self.extruding[:] = False

@@ -58,12 +58,12 @@ class Folding:
         self.contact.search(x, x, 1.5 * 2.0 * fastest * time)
 
     def state(self) -> ContactState:
-        """State of the contact, as a checkpoint holds it."""
+        """State of the contact, for a checkpoint."""
         return self.contact.state()
 
     @property
     def needed(self) -> Ints:
-        """The points of the particle that forces are made of, and go to."""
+        """The points of the particle that the forces depend on and act on."""
         return self._support if len(self.contact.rows) else self._support[:0]
 
     def stable_dt(self, mass: Floats) -> float:

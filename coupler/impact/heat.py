@@ -17,9 +17,9 @@ from .folding import Folding
 
 @dataclass
 class HeatPaths:
-    """The heat paths that are open between a particle with its surface and a target. friction: its heat, and that of fracture, warms
-    what has rubbed or torn; points: conduction in the particle, or None; interface: heat crosses the contact, which is perfect;
-    folding: the contact of the particle with itself."""
+    """Active heat paths between a particle and a target. friction: heat of friction and of bond fracture raises the temperature of
+    both; points: conduction inside the particle, None: off; interface: conduction across the contact, without contact resistance;
+    folding: self-contact of the particle, None: off."""
 
     particle: DistributedParticle
     target: Target
@@ -42,7 +42,7 @@ class HeatPaths:
 
     def release(self, hold: Hold | None) -> None:
         """Turn the heat of friction, and of torn bonds, since the last call into temperature, of points and of the elements behind
-        facets: of bonds, the contact's `share` of it on the particle's side."""
+        facets. The particle gets the contact's `share` of the heat of bonds."""
         if not self.friction:
             return
         target, contact = self.target, self.contact

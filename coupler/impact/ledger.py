@@ -108,7 +108,7 @@ class Ledger:
 
 
 def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
-    """Each term of the ledger as it stands, J."""
+    """Present value of each term of the ledger, J."""
     particle, target, contact = domains.particle.totals, domains.target, domains.contact
     r = {"kinetic_particle": particle.kinetic, "kinetic_target": target.kinetic()}
     r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]

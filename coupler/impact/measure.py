@@ -34,8 +34,8 @@ def crater_depth(surface: np.ndarray) -> float:
     """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes; 0 without any, as in the cut of an
     impact on a heap that is higher than its window.
 
-    The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: a single node hangs
-    on where the mesh happens to have it.
+    The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: the depth of a single node
+    depends on the mesh.
     """
     if len(surface) == 0:
         return 0.0

@@ -26,7 +26,7 @@ VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as Pa
 
 @dataclass
 class Recorded:
-    """What is due next, and what has been noticed of an impact so far. next_row, next_output: times in s; greatest: measures at the
+    """Times of the next outputs and observations of an impact so far. next_row, next_output: times in s; greatest: measures at the
     greatest deformation, None before it; over_rim: the particle has reached beyond the substrate's edge and below its surface;
     in_layer: it has touched the layer where the window of the target damps velocities; met (k,): heights, m, of the surface that it
     meets, at its nodes, before the impact; touched_at: height of the particle's centre, m, when it last touched anything, or

@@ -149,11 +149,11 @@ class _Attempt:
             raise
 
     def give_up(self) -> None:
-        """Stop what still runs."""
+        """Stop the domains that still run."""
         self.impact.particle.close()
 
     def run(self, watch: "_WallClock", signals: StopSignals, save: Callable[[RunningState], None]) -> ImpactOutcome:
-        """Compute it to its end; a checkpoint is written where the impact can go on from there."""
+        """Compute the impact to its end; write a checkpoint if the impact can continue from there."""
         impact, ending, recorder = self.impact, self.ending, self.recorder
 
         def state() -> RunningState:
@@ -197,7 +197,7 @@ class _Attempt:
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """What the plan says of the end of impact i, of so much energy, J. On earlier splats a particle may creep: there a slow one counts
+    """The end criterion of impact i in the plan. energy: of the impact, J. On earlier splats a particle may creep: a slow one counts
     as at rest. On a coating, one that the scene ties is not waited for until its contact is silent."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
@@ -212,7 +212,7 @@ class _WallClock:
         self._began, self._looped, self._loop_began = clock.perf_counter() - wall, looped, 0.0
 
     def start_loop(self) -> None:
-        """The loop begins, for the first time or after a retry."""
+        """Note that the time loop begins, for the first time or after a retry."""
         self._loop_began = self._loop_began or clock.perf_counter() - self._looped
 
     @property

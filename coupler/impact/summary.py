@@ -26,7 +26,7 @@ STUCK = "the particle sticks"  # why it has no rebound velocity
 
 @dataclass(frozen=True)
 class ImpactRecord:
-    """What a finished impact leaves for summary.json. values: its record in `impacts`; warnings, retries: of the run's;
+    """Record of a finished impact for summary.json. values: its record in `impacts`; warnings, retries: of the run's;
     memory_peak: bytes, of all processes."""
 
     values: Values

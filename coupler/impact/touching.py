@@ -11,7 +11,7 @@ from .domains import Domains
 
 
 class Touching:
-    """rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,): those they are on."""
+    """rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,): facets under them."""
 
     def __init__(self, domains: Domains):
         self._domains = domains

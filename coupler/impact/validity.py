@@ -22,7 +22,7 @@ LINEAR_ERROR = 0.05
 
 @dataclass
 class Extreme:
-    """The largest of a body in an impact so far. rate: 99th percentile of the plastic strain rate, 1/s, where something flows; melting:
+    """Largest values of a body so far. rate: 99th percentile of the plastic strain rate, 1/s, where something flows; melting:
     temperature over the melting point of the metal there; strain: 99th percentile of the plastic strain; compression: 1 - J."""
 
     rate: float = 0.0
@@ -39,14 +39,14 @@ class Extreme:
 
 
 def _percentile(values: np.ndarray) -> float:
-    """99th percentile of those above zero, 0 without any."""
+    """99th percentile of the values above zero, 0 without any."""
     above = values[values > 0.0]
     return float(np.percentile(above, 99)) if len(above) else 0.0
 
 
 @dataclass
 class Extremes:
-    """Those of both bodies."""
+    """The extremes of particle and target."""
 
     particle: Extreme = field(default_factory=Extreme)
     target: Extreme = field(default_factory=Extreme)
@@ -58,7 +58,7 @@ class Extremes:
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
-        """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
+        """Warnings of ranges that the impact left, with their limits. impact: counted from 1; materials: of "particle" and "target"."""
         texts, left = [], []
         for body, kept in vars(self).items():
             metal, where = materials[body], f"impact {impact}: in the {body}"

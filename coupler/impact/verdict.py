@@ -81,7 +81,7 @@ def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
 
 
 def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
-    """From the bonds computed in the impact: what they can still take up against the energy left to part them."""
+    """Verdict by the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
     whole = 0 if hold is None else int(np.count_nonzero(hold.whole))
     if hold is None or whole == 0:
         return _unheld("no bond formed" if hold is None else "all bonds are torn", BY_BONDS, mass, upwards)
@@ -104,7 +104,7 @@ def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """From the normal velocity of impact over the critical ones of the formula; the scene ties by that of the particle's metal."""
+    """Verdict by the normal velocity over the formula's critical velocities; the scene ties by that of the particle's metal."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)
