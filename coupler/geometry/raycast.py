@@ -68,7 +68,8 @@ class RaySurface:
         return self.feet(x)[0]
 
     def feet(self, x: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """The point (k,3) m of the surface closest to each of x (k,3) m, its triangle (k,) and its weights (k,3) there."""
+        """The point (k,3) m of the surface closest to each of x (k,3) m, the index of its triangle (k,) and its barycentric coordinates
+        (k,3)."""
         closest = self._scene.compute_closest_points(self._single(x), nthreads=1)
         points = closest["points"].numpy().astype(float) * self.unit + self.middle
         uv = closest["primitive_uvs"].numpy().astype(float)

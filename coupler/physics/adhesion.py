@@ -311,13 +311,13 @@ class Adhesion:
 
     @property
     def in_impact(self) -> bool:
-        """Whether bonds act from the greatest deformation on, while the particle rebounds: where they may break, or where the
-        contact decides which there are. Other bonds form at rest."""
+        """Whether bonds act during the rebound, from the greatest deformation on. True for cohesive bonds, and for tied bonds whose
+        criterion is plastic strain or pressure. Otherwise bonds form when the particle is at rest."""
         return self.kind == "cohesive" or (self.kind == "tied" and self.criterion in ("plastic_strain", "pressure"))
 
     @property
     def words(self) -> str:
-        """The law in a line."""
+        """Text of one line that describes the law."""
         if self.kind == "none":
             return "none, contact and friction only"
         text: str = self.kind

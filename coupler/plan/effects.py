@@ -18,12 +18,12 @@ GRADIENTS = "gradient_hardening"  # a choice of the model: unless it is named, o
 
 @dataclass(frozen=True)
 class Situation:
-    """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
+    """Input data for the choice of effects of one impact, SI units. materials, temperatures: (particle, target).
 
-    side_distance: from the impact to the nearest absorbing face, infinite without any; end_time: the longest that waves and heat may
-    travel until the run is over, this and later impacts together; element_size: of the target, the smallest; duration: of this impact
-    alone; dwell: the pause after it; bonded: whether its splat is to be; exposed: whether bonds form by exposure, with an engine that
-    knows gradients.
+    side_distance: from the impact to the nearest absorbing face, infinite without any; end_time: sum of the durations of this and all
+    later impacts, the longest time that waves and heat travel; element_size: smallest of the target; duration: of this impact alone;
+    dwell: the pause after it; bonded: whether the scene has a law of adhesion; exposed: whether bonds form by exposure and the engine
+    computes gradients of plastic strain.
     """
 
     materials: tuple[Material, Material]

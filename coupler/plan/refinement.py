@@ -80,8 +80,9 @@ def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
     h: spacings, in any unit, the finest first. The fit is v + a h^p (Eca & Hoekstra 2014), with p in ORDERS where the best lies between
     their ends, else with that of FIXED_ORDERS which scatters less. The error is the distance a h^p of the first value to zero spacing,
     times a safety factor, plus the standard deviation of the fit and the distance of the first value from it; where the standard
-    deviation exceeds the range of the values per step of refinement, it is larger in that ratio. Of two values the order is the formal
-    one and the factor is 3 (Roache 1994, J. Fluids Eng. 116, 405). Raises ValueError for fewer than two values.
+    deviation is not below the range of the values per step of refinement, the sum without this factor is multiplied by 3 and by their
+    ratio; it is 0 if all values are equal. Of two values the order is the formal one and the factor is 3 (Roache 1994, J. Fluids Eng.
+    116, 405). Raises ValueError for fewer than two values.
     """
     H, y = np.asarray(h, float), np.asarray(values, float)
     if len(y) < 2:

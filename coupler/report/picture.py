@@ -262,7 +262,7 @@ def colour_range(cuts: Sequence[Cut], name: str) -> Range:
 
 
 def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
-    """Draw the cut coloured by one field."""
+    """Draw a cross-section coloured by one field. name: key in FIELDS; ends: limits of its colour scale, in the displayed unit."""
     left, right, bottom, top = section.view
     colours, scale = FIELDS[name].colours, Normalize(ends.low, ends.high)
     corners, values = section.corners, section.values[name]

@@ -48,7 +48,8 @@ def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[n
 
 
 def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: float) -> tuple[Field, float]:
-    """Field of the inside of a closed surface (k,3) m, (m,3) outwards, cells of h m, smoothed over sigma m.
+    """Volume fraction of the solid in cells of h m, smoothed by a Gaussian of standard deviation sigma m. The surface is closed:
+    vertices (k,3) m, triangles (m,3) with outward normals.
 
     Also returns the volume (m3) inside before smoothing: where the surface overlaps itself it counts once.
     """
