@@ -17,8 +17,8 @@ AHEAD = 96  # impacts back among which those of a batch are looked for
 
 @dataclass(frozen=True)
 class Landing:
-    """What batches depend on. offset: of the axis of an impact, m; window: radius (m) within which the target is computed; diameter: of
-    the particle, m; dwell: time until the next impact, s."""
+    """Data of an impact on which batches depend. offset: of its axis, m; window: radius (m) within which the target is computed;
+    diameter: of the particle, m; dwell: time until the next impact, s."""
 
     offset: tuple[float, float]
     window: float
@@ -57,8 +57,8 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
-    """An order of impacts that makes large batches: each is put off where its window lies apart from those that it joins and its splat
-    from those of all that it passes, so that splats that may come to lie on each other arrive in the order they had.
+    """An order of impacts that makes large batches. An impact moves to a later batch if its window lies apart from the windows of that
+    batch and its splat from the splats of all impacts in between: splats that may overlap keep their order.
 
     Batches are made from the last one back, each as large as can be: the pause after a batch costs the more the higher the coating is.
     """
@@ -85,7 +85,7 @@ def side_by_side(impacts: Sequence[Landing]) -> list[int]:
 
 
 def _apart(others: Sequence[Landing], new: Landing) -> bool:
-    """Whether the window of an impact lies apart from those of others."""
+    """Whether the window of an impact lies apart from the windows of others."""
     return math.isfinite(new.window) and all(
         math.dist(a.offset, new.offset) > a.window + new.window + GAP * max(a.diameter, new.diameter) for a in others
     )

@@ -240,7 +240,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
 
 
 def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
-    """Whether the fracture energy of a bond is at least what its springs hold at their strength (`contact.bond.Bond`)."""
+    """Whether the fracture energy of a bond is at least the energy that its spring stores at its strength (`contact.bond.Bond`)."""
     names = [d.scene.substrate.material, *(particle.material for particle in d.scene.particles)]
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:

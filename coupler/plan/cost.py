@@ -78,7 +78,7 @@ def elements(
 ) -> int:
     """Tetrahedra of a graded mesh of a cylinder (m): element_size within refined_radius of a disc of radius spread, then growing.
 
-    Sum of TETS_PER_H3 / h(r)^3 over the volume at a distance r below and beside the disc, up to that of the cylinder, with h(r) =
+    Sum of TETS_PER_H3 / h(r)^3 over the volume within a distance r below and beside the disc, at most the cylinder's, with h(r) =
     element_size + growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
     """
     cylinder = math.pi / 4 * diameter**2 * height
@@ -103,10 +103,10 @@ def flow_stress(material: Material, T: float, rate: float, strain: float = STRAI
 def loads(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> tuple[float, float]:
-    """How much an impact asks of particle and target: the energy that each takes over its flow stress, of the particle's volume.
+    """Loads of particle and target in an impact: the energy that each absorbs over its flow stress and the particle's volume.
 
-    Johnson's damage number rho v^2 / Y, the particle's density over the body's flow stress, times its share of the energy, which is
-    that of the compliances 1 / Y; the particle's rim is heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): of
+    Johnson's damage number rho v^2 / Y, with the particle's density and the body's flow stress, times the body's share of the energy,
+    in proportion to its compliance 1 / Y; the particle's rim is heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): of
     particle and target; velocity m/s, diameter m.
     """
     metal, rate, inertia = materials[0], velocity / diameter, materials[0].rho * velocity**2
@@ -171,7 +171,7 @@ def memory(points: float, n_elements: float) -> float:
 
 
 def machine_memory() -> float:
-    """Memory of this machine, bytes; infinite where the system does not tell."""
+    """Memory of this machine, bytes; infinite if the system does not report it."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, OSError, ValueError):

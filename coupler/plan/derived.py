@@ -19,7 +19,7 @@ _OUTPUTS_IN_ALL = 1250.0  # ... and in the crossings of a long sequence together
 
 @dataclass(frozen=True)
 class Derived:
-    """What follows from a scene."""
+    """Quantities that follow from a scene."""
 
     scene: SceneData
 
@@ -60,7 +60,7 @@ class Derived:
 
     @property
     def refined_radius(self) -> float:
-        """How far from the disc of `spread` the target has the smallest elements, m: it holds the widest particle."""
+        """Distance from the disc of `spread` up to which the target has the smallest elements, m: it covers the widest particle."""
         least = estimates.REFINED_RADIUS_OVER_DIAMETER
         return max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
 
@@ -184,7 +184,7 @@ class Derived:
 
     @property
     def ambient(self) -> float | None:
-        """Temperature (K) to which all cools after the last impact; None where it does not cool."""
+        """Temperature (K) to which all bodies cool after the last impact; None if they do not cool."""
         return self.scene.end.ambient if self.scene.end.at == "cold" else None
 
     @property

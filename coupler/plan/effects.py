@@ -47,7 +47,7 @@ class Situation:
 
     @cached_property
     def warm(self) -> float:
-        """Heating over what is left to melting, of the body that it softens more."""
+        """Heating over the distance to the melting point, of the body that it softens more."""
         return max(dT / max(m.T_m - T, 1.0) for m, T, dT in self.bodies)
 
     def diffusion(self, body: int, time: float) -> float:
@@ -77,8 +77,8 @@ class Situation:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect. number: what decides it, in words; value: that number, of an impact; threshold: `auto` leaves the effect out where
-    the number is no more."""
+    """One effect. number: name of the number that decides it; value: the number of an impact; threshold: `auto` leaves the effect out
+    if the number is not larger."""
 
     name: str
     number: str
@@ -163,7 +163,7 @@ class Effects(Switches):
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """What a scene says about each effect; those that it leaves to `decide` are not in it.
+    """The effects that a scene switches on or off; effects that it leaves to `decide` are not included.
 
     request: "auto" (the numbers decide), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean
     these and no other; a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];

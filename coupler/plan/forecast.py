@@ -11,8 +11,8 @@ from .model import ImpactPlan, Plan
 
 @dataclass(frozen=True)
 class Forecast:
-    """A number for each impact. steps: of its time loop; met: elements of all bodies that it meets, of the substrate and of the splats
-    before it; computed: of those that it is computed on; looped, between: wall time of its steps and of what follows it, s.
+    """A number for each impact. steps: of its time loop; met: elements of all bodies before it, substrate and splats; computed: the
+    elements among these in its sub-domain; looped, between: wall time of its steps and of the work after it, s.
 
     whole: wall time, s; memory, files: bytes; target_load: cost of the target and the contact over that of the particles.
     """
@@ -29,7 +29,7 @@ class Forecast:
 
     @property
     def shares(self) -> list[tuple[float, float]]:
-        """Of each impact: the part of the wall time that lies before it, and its own without what follows it."""
+        """Shares of the wall time for each impact: before it, and of its own steps, without the work after it."""
         ends = list(accumulate(map(sum, zip(self.looped, self.between, strict=True))))
         whole = ends[-1] + cost.SECONDS_PER_RUN
         return [(begin / whole, own / whole) for begin, own in zip([0.0, *ends], self.looped, strict=False)]

@@ -96,7 +96,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
 
 
 def describe(scene: SceneData) -> list[str]:
-    """What `check` says of the gas: some lines, none without [gas]."""
+    """Lines about the gas that `check` prints; none without [gas]."""
     if scene.gas is None:
         return []
     c = scene.gas
@@ -120,7 +120,7 @@ def describe(scene: SceneData) -> list[str]:
 
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
-    """What the gas gives one particle, and whether it is used."""
+    """Line about the velocity and temperature that the gas gives one particle, and whether they are used."""
     material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}

@@ -21,7 +21,7 @@ class ImpactPlan(Landing):
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
     rate's smoothing; dwell, the time until the next. end_at: "rest", "greatest" (deformation) or "time"; the first two at
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. formula: critical
-    velocities of its metal and of that which it hits, a splat or the substrate.
+    velocities of its metal and of the metal that it hits, of a splat or the substrate.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
     splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
     hardness."""
@@ -91,7 +91,7 @@ class SolidPlan:
 
     @classmethod
     def of(cls, solid: Solid) -> "SolidPlan":
-        """That of a solid."""
+        """The plan of a solid."""
         points = tuple((x, y, z) for x, y, z in solid.points.tolist())
         return cls(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
 
@@ -136,11 +136,11 @@ class Plan:
     skipped: tuple[str, ...] = ()
 
     def is_on_coating(self, i: int) -> bool:
-        """Whether impact i is one of many, on its own cut of what those before it have left."""
+        """Whether impact i is one of many, each computed on its own cut of the coating."""
         return i > 0 and math.isfinite(self.impacts[i].window)
 
     def batch_from(self, first: int) -> Batch | None:
-        """What is left of the batch of an impact from that one on; None after the last."""
+        """The batch of an impact without the impacts before this one; None after the last impact."""
         return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
 
     def without(self, i: int, why: str) -> "Plan":

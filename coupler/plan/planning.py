@@ -32,7 +32,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do); error:
     whether it is measured.
 
-    Raises SceneError if the scene names a material that is not there.
+    Raises SceneError if the scene names an unknown material.
     """
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.derived.material(scene.substrate.material)
@@ -86,7 +86,7 @@ def _stays(scene: Scene, particle: Particle) -> bool:
 
 
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
-    """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), if a splat."""
+    """The body that impact i hits, the last splat under its centre or the substrate: material, temperature (K), whether a splat."""
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
@@ -168,7 +168,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
 
 
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
-    """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
+    """Input data for the choice of effects, for each impact; its waves and heat travel on during later impacts."""
     usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
     situations, left = [], sum(usual)
     for impact, duration in zip(impacts, usual, strict=True):

@@ -29,7 +29,7 @@ class Scene(SceneData):
 
     @cached_property
     def derived(self) -> Derived:
-        """The numbers that follow from it."""
+        """The numbers that follow from the scene."""
         return Derived(self)
 
     @cached_property
@@ -152,7 +152,7 @@ def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
 
 
 def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
-    """What takes the place of the fields that a table leaves out, each with where it comes from."""
+    """Default values of the fields that a table leaves out, each with its origin."""
     d = Derived(scene)
     if isinstance(table, Particle):
         several = {"dwell": f"{text_of(d.time_between, 'us')}  (from: spray)"} if len(scene.particles) > 1 else {}

@@ -36,7 +36,7 @@ LEAST, MOST = 300, 64000  # points that a choice may fall on
 
 
 class AccuracyError(ColdsprayError):
-    """An accuracy or a time that no setting gives: says what can be had."""
+    """No setting gives this accuracy or takes this time; the message names the nearest that is possible."""
 
 
 def at_points(
@@ -61,8 +61,8 @@ def at_points(
 
 
 def companions(scene: Scene) -> tuple[int, ...]:
-    """Points of the coarser runs that measure the error of a scene, the finer first; none of a coating, whose scatter is that of its
-    seeds, and of a scene that is as coarse as can be compared."""
+    """Points of the coarser runs that measure the error of a scene, the finer first; none for a coating, whose error comes from other
+    seeds, and for a scene too coarse for a coarser one."""
     volumes = [p.volume for p in scene.particles]
     least = max(COARSEST, math.ceil(1.1 * cost.LEAST_POINTS * max(volumes) / min(volumes)))
     points = scene.derived.points
@@ -120,7 +120,7 @@ def forecast(points: float) -> dict[str, float]:
 
 
 def has_error(key: str, points: float) -> bool:
-    """Whether coarser runs tell the error of a measure of a run with so many points in its particle: few points make no percentile."""
+    """Whether coarser runs give the error of a measure, for a run of this many points per particle: percentiles need many points."""
     return points >= TAIL_POINTS or "_p99" not in key
 
 

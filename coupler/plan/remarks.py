@@ -27,7 +27,7 @@ def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
 
 
 def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided: Effects) -> list[str]:
-    """What the scene should know before it runs: where it leaves the range of its models, and what it asks for in vain."""
+    """Warnings before a scene runs: where it leaves the range of its models, and which of its settings have no effect."""
     warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
         warnings.append(text)
@@ -83,7 +83,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
 
 
 def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
-    """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
+    """Warning of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
     limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
@@ -93,14 +93,14 @@ def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str
 
 
 def _hot(material: Material, *reached: float) -> str:
-    """What to say of bodies that may reach these temperatures, K; nothing where all are far from melting."""
+    """Text about bodies that may reach these temperatures, K; nothing if all are far from melting."""
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
 
 
 def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
-    """What to say of a coating, its centres on a disc of `radius` m, that grows higher than it is wide; nothing otherwise."""
+    """Warning of a coating, its centres on a disc of `radius` m, that grows higher than it is wide; else nothing."""
     across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
     height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # of their volume on the disc
     if height < across:

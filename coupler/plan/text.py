@@ -135,7 +135,7 @@ def _pause(impact: ImpactPlan) -> str:
 
 
 def _splats(plan: Plan) -> list[str]:
-    """How splats join the target and what holds them, where there are several or the scene says how."""
+    """Lines about the method and the adhesion of splats, if there are several or the scene sets them."""
     if len(plan.impacts) == 1 and plan.adhesion.kind == "none":
         return []
     each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
@@ -148,7 +148,7 @@ def _splats(plan: Plan) -> list[str]:
 
 
 def _window(plan: Plan) -> list[str]:
-    """What of the target is computed, where that is not all of it."""
+    """Line about the part of the target that is computed, unless it is the whole."""
     lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
     if not lengths:
         return []
@@ -187,7 +187,7 @@ def _range(values: list[float], unit: str = "ns") -> str:
 
 
 def _shapes(plan: Plan) -> list[str]:
-    """What there is to say of shapes that are no spheres, a line for each of the first ones."""
+    """Lines about shapes other than spheres, one for each of the first ones."""
     lines = []
     for particle in plan.impacts:
         if particle.shape == "sphere":
