@@ -15,7 +15,7 @@ MIN_POINTS = 50  # of a body
 
 
 class Report(TypedDict, total=False):
-    """Measures of one body, or of a whole splat (sums, worst values, and the largest body's own)."""
+    """Mesh report of one body, or of a whole splat: sums or worst values over its bodies; all other keys are of its largest body."""
 
     method: str
     failed: list[str]  # strategies that failed before, with the reason
@@ -74,12 +74,12 @@ class Cloud(MetalState):
 
     @property
     def mass(self) -> np.ndarray:
-        """(n,) kg."""
+        """Mass (n,) kg of each point."""
         return self.rho * self.volume
 
     @property
     def current_volume(self) -> np.ndarray:
-        """(n,) m3, as deformed."""
+        """Volume (n,) m3 of each point in the deformed state."""
         return self.volume if self.J is None else self.volume * self.J
 
     @property

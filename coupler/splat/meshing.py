@@ -79,7 +79,7 @@ class Shape:
 
 @dataclass
 class CloudShape:
-    """The points of one body, those of the others (k,3) m, and the last shape found, which the next strategy may reuse."""
+    """The points of one body, the points of the others (k,3) m, and the last shape found, which the next strategy may reuse."""
 
     cloud: Cloud
     others: np.ndarray
@@ -89,7 +89,7 @@ class CloudShape:
         """The least smoothed shape whose surface has no handles, or the fewest. size: m, of elements.
 
         Perforated lips are noise that no mesh of this size can follow, hence the search. Raises SplatError where the
-        carried surface cannot be that of the points.
+        carried surface does not fit the points.
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:

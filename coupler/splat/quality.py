@@ -58,7 +58,7 @@ def pieces(points: np.ndarray, tets: np.ndarray) -> int:
 
 
 def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
-    """Width and height of a mesh and of the carried surface (else of the points), m, and how far points lie outside, in spacings.
+    """Width and height of a mesh and of the carried surface (else of the points), m, and distances of points outside, in spacings.
 
     width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than
     half a spacing outside; outside_max: the farthest.

@@ -89,7 +89,7 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
 
 
 def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of a mesh as in `cloud.Body`, those that the cloud has; relative errors.
+    """Fields of a mesh as in `cloud.Body`, for the fields of the cloud; relative errors.
 
     points (n,3) m, tets (m,4). The errors are those of each sum over the mass (temperature, plastic strain, energy, linear and
     angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
