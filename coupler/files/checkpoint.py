@@ -39,7 +39,8 @@ class OtherVersion(CheckpointError):
 def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     """Write the record `state` as the next checkpoint of a run and remove all but the last KEPT.
 
-    about: what it belongs to, for `latest`. Raises StoreError when it cannot be written (a full disk); earlier ones are then untouched.
+    about: data that identify the run, for `latest`. Raises StoreError when it cannot be written (a full disk); earlier checkpoints are
+    then untouched.
     """
     numbers = [number for number, _ in stored(directory)]
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
@@ -81,7 +82,7 @@ def clear(directory: Path) -> None:
 def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
-    """State, a record of class `kind`, of the last checkpoint that is whole; None if there is none at all.
+    """State, a record of class `kind`, of the last checkpoint that is complete; None if there is no checkpoint.
 
     A damaged one is passed over, with a line to log(text). Raises CheckpointError when a checkpoint belongs to another version
     or another scene (a key of `about` differs), or when all are damaged.
@@ -102,7 +103,7 @@ def latest(
 
 
 def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
-    """State of a checkpoint file, a record of class `kind`. about: what it must belong to.
+    """State of a checkpoint file, a record of class `kind`. about: data of the run to which it must belong.
 
     Raises CheckpointError if it is not whole or not such a record, OtherVersion if it belongs to another version or scene.
     """
@@ -136,7 +137,7 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
 
 
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
-    """The tree with each array replaced by where it is kept."""
+    """The tree with each array replaced by its key in `arrays`."""
     if is_dataclass(value) and not isinstance(value, type):
         parts = {f.name: _flatten(vars(value)[f.name], f"{name}/{f.name}", arrays) for f in fields(value)}
         return {"record": parts, "kind": type(value).__name__}

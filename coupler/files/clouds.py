@@ -45,7 +45,7 @@ class Points:
 
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
-    """The points of a file. known: fields that are read from an .npz; columns: names of those of a text, "-" for one to leave out.
+    """The points of a file. known: fields that are read from an .npz; columns: names of columns of a text, "-" for one to leave out.
 
     Raises InputError, for the surface of a body too, or LimitError before anything is read that the memory cannot hold.
     """
@@ -102,7 +102,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
 
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type that an array of an .npz claims."""
+    """Shape and type that the header of an array of an .npz states."""
     version = np.lib.format.read_magic(file)
     read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if read is None:

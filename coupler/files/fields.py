@@ -44,7 +44,7 @@ class Fields:
 
 @contextmanager
 def opened(path: Path) -> Iterator["Root"]:
-    """The VTKHDF group of a file; whatever is wrong with the file comes out as a StoreError."""
+    """The VTKHDF group of a file. Raises StoreError for any fault of the file."""
     check_regular(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -59,7 +59,7 @@ def opened(path: Path) -> Iterator["Root"]:
 
 @dataclass(frozen=True)
 class Root:
-    """The VTKHDF group of a file. What a data set claims is compared with what is stored of it, and with the free memory."""
+    """The VTKHDF group of a file. The size that a data set states is compared with its stored bytes and with the free memory."""
 
     group: h5py.Group
     path: Path

@@ -68,7 +68,7 @@ def check_regular(path: str | Path) -> int:
 
 
 def similar(path: str | Path, is_folder: bool = False) -> str:
-    """A hint such as ' (did you mean "first.toml"?)' for a file, or a folder, that is not there, else an empty text."""
+    """A hint such as ' (did you mean "first.toml"?)' for a file, or a folder, that does not exist, else an empty text."""
     try:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
@@ -132,7 +132,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """The line that a problem of TOML names, and what is most often missing there."""
+    """The line that an error of TOML names, and the most frequent cause."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""

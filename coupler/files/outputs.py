@@ -1,6 +1,6 @@
 """Before a command writes: nothing that this program did not write is replaced without --force, an input never.
 
-A file of ours carries MARK in its first or last bytes; a folder of ours holds a file MARKER that names what the folder is for.
+A file of coldspray carries MARK in its first or last bytes; a folder of coldspray has a file MARKER that names its kind.
 """
 
 import contextlib
@@ -101,7 +101,7 @@ def check_folder(folder: Path) -> None:
 
 
 def kind_of(folder: Path) -> str:
-    """What a folder of ours is for, as its marker says; "" for any other folder."""
+    """The kind of a folder that coldspray made, from its marker; "" for any other folder."""
     with contextlib.suppress(OSError, ValueError):
         with open(os.open(folder / MARKER, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
             text = stream.read(200).decode("utf-8")

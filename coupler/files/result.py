@@ -1,4 +1,4 @@
-"""Read what a run left behind. Imports no solver, and trusts no file.
+"""Read the results of a run. Imports no solver, and trusts no file.
 
 Nothing is unpickled or executed; a file cannot make the reader open another file or fill the memory.
 """
@@ -69,7 +69,7 @@ class Result:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether the run has shown what the particle of the last impact does; without it, it can be continued."""
+        """Whether the run shows if the particle of the last impact sticks or rebounds; a run without a verdict can be continued."""
         return self.values.get("rebounded", False) is not None
 
     @property
@@ -206,7 +206,7 @@ class Result:
         return table[column]
 
     def _rows(self) -> tuple[list[str], NDArray[np.float64]]:
-        """Names and values (rows, columns) of history.csv: read anew where the file has changed, as that of a running run."""
+        """Names and values (rows, columns) of history.csv: read again if the file has changed, as in a running run."""
         path = self.directory / HISTORY
         stat = path.stat() if path.is_file() else None  # else reading says what is wrong
         now = (stat.st_mtime_ns, stat.st_size) if stat is not None else None

@@ -118,7 +118,7 @@ class Store:
         )
 
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
+        """Set the files back to the time of a `state`: later records are removed. None: start all files again.
 
         Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
         be read starts anew, with a line to log(text).
@@ -146,7 +146,7 @@ class Store:
                 path.unlink(missing_ok=True)
 
     def go_back(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """As `go_on`, of a store that has gone on writing since."""
+        """As `go_on`, for a store that has written more since."""
         with _named(self.directory):
             for writer in self._writers.values():
                 writer.close()
@@ -219,7 +219,7 @@ class Store:
             write_text(self.directory / SUMMARY, text)
 
     def close(self) -> None:
-        """Close all files; never raises: what could not be written has been reported by the write itself."""
+        """Close all files. Never raises: a failed write has raised its own error."""
         with contextlib.suppress(Exception):
             if self._history is not None:
                 self._history.close()
@@ -242,7 +242,7 @@ class Store:
 
 
 class WithoutFields(Store):
-    """The folder of a run of which the summary alone is of use: fields and history are not written."""
+    """The folder of a run whose summary alone is used: fields and history are not written."""
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Write nothing."""
@@ -296,7 +296,7 @@ def _reason(error: Exception) -> str:
 
 
 def _plain(value: object) -> object:
-    """What JSON can hold: numpy becomes plain numbers and lists, numbers that are not finite become None."""
+    """A value that JSON can store: numpy becomes plain numbers and lists, numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -42,7 +42,7 @@ def read_summary(path: Path) -> Summary:
 
 
 def problem_of(data: Mapping[str, object]) -> str | None:
-    """What makes readers fail: a table or list that is missing or is something else."""
+    """The fault of a summary that readers cannot use: a table or list that is missing or of another type; None without."""
     impacts = data.get("impacts")
     if not isinstance(data.get("run"), dict):
         return "run is not a table"
@@ -66,7 +66,7 @@ def impact_values(summary: Summary, i: int = -1) -> Values:
 
 
 def run_values(summary: Summary) -> Values:
-    """The last impact and the whole run in one table; of what both have, that of the run. Empty of an empty summary."""
+    """The last impact and the whole run in one table; for keys in both, the value of the run. Empty for an empty summary."""
     if not summary:
         return {}
     return impact_values(summary) | summary["run"] | {"version": summary.get("version", "unknown")}

@@ -29,7 +29,7 @@ class Table:
 
 
 def read_table(text: str, names: list[str] | None = None) -> Table:
-    """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default those above the numbers.
+    """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default the names above the numbers.
 
     Raises ValueError with what is wrong, and where.
     """
@@ -69,7 +69,7 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
 
 
 def _separator(line: str) -> str:
-    """Between the columns of a line: a tab, a semicolon, a comma, or blanks (""). Commas within words are decimal ones where blanks
+    """Separator of columns in a line: a tab, a semicolon, a comma, or blanks (""). Commas within words are decimal ones where blanks
     separate these."""
     for separator in "\t;":
         if separator in line:

@@ -43,7 +43,7 @@ CHUNK = 2**16  # rows of a chunk of long data, at most
 
 @dataclass
 class _State:
-    """How much of the file counts. A step works on a copy: one that was interrupted leaves no trace."""
+    """Number of valid rows of each data set. A step works on a copy: an interrupted step has no effect."""
 
     steps: int = 0
     rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
@@ -281,7 +281,7 @@ def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
 
 
 def _state_at(old: Root, steps: int) -> _State:
-    """What counts of a file after its first steps."""
+    """The valid rows of a file after its first steps."""
     times = times_of(old)
     if len(times) < steps:
         raise IndexError(f"{old.path} has {len(times)} steps, {steps} are asked for")
