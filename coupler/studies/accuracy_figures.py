@@ -53,7 +53,7 @@ def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Pat
 
 
 def diagram(rows: Rows, heading: str, T_0: float) -> Figure:
-    """All measures, a panel for each."""
+    """Figure with a panel for each measure."""
     across = 3
     down = -(-len(CONVERGING) // across)
     wide, tall, top = 4.0, 3.1, 0.95  # inches

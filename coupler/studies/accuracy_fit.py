@@ -19,7 +19,7 @@ Row = Mapping[str, str]
 
 
 def value(row: Row, measure: str, T_0: float) -> float:
-    """Value of a measure in a row; of a temperature its rise over T_0, K, that of the particle before the impact."""
+    """Value of a measure in a row; of a temperature its rise over T_0, K, the temperature of the particle before the impact."""
     return float(row[measure]) - record(measure).initial(T_0)
 
 
@@ -90,7 +90,7 @@ class OrderFit:
         return not all(self.at_bound)
 
     def interval(self) -> tuple[str, str]:
-        """Its ends in words: "0.5", or "below 0.5" at the least order tried."""
+        """The ends of the interval in words: "0.5", or "below 0.5" at the least order tried."""
         low, high = f"{self.low:.2g}", f"{self.high:.2g}"
         return f"below {low}" if self.at_bound[0] else low, f"above {high}" if self.at_bound[1] else high
 

@@ -63,21 +63,21 @@ class Splats:
 
     @property
     def deposition_efficiency(self) -> float:
-        """Mass that stayed over that of all particles that have hit, with those that are undecided."""
+        """Mass that stayed over the mass of all particles that have hit; undecided particles count as stayed."""
         return float(self.mass @ self.stayed / self.mass.sum())
 
     @property
     def least_efficiency(self) -> float:
-        """The same with the undecided ones lost."""
+        """Deposition efficiency if all undecided particles count as lost."""
         return self.deposition_efficiency - sum(self.mass[i] * self.stayed[i] for i in self.undecided) / float(
             self.mass.sum()
         )
 
 
 def read(result: Result, before: int | None = None) -> Splats:
-    """What a run has built so far, finished or not; before: until the impact of this number begins.
+    """The coating that a run has built so far, finished or not; before: until the impact of this number begins.
 
-    Raises StoreError where the files do not tell which body is which.
+    Raises StoreError where the files do not name the body of each element.
     """
     plan = read_plan(result.directory)
     numbers = result.history("impact")
@@ -226,7 +226,7 @@ def roughness(z: NDArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SeedError:
-    """A measure over so many seeds, SI: its mean, the standard error of that, and the least and the greatest value."""
+    """A measure over several seeds, SI: mean, standard error of the mean, least and greatest value."""
 
     seeds: int
     mean: float
@@ -302,7 +302,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
 
 
 def disc_radius(splats: Splats) -> float:
-    """Radius (m) of what is measured by default."""
+    """Default radius (m) of the measured disc."""
     return max(DISC * splats.patch, 4.0 * splats.element_size)
 
 
@@ -348,7 +348,7 @@ def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | N
 
 
 def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
-    """What a coating is, in words: label and value with its unit, for the terminal and the page."""
+    """The measures of a coating in words: label and value with its unit, for the terminal and the page."""
     um = {name: f"{1e6 * value:.1f} µm" for name, value in vars(measures).items() if name.endswith("_m")}
     count, left = measures.impacts, measures.rebounded
     stay = f"all {count} particles stay" if not left else f"{count - left} of {count} particles stay"
@@ -425,8 +425,8 @@ def _percentiles(values: NDArray, weights: NDArray, shares: tuple[float, ...]) -
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
     """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the disc, from the top down.
 
-    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. thermal_xx and so on: what of it changes of
-    temperature have made, of a cold coating; the rest is that of the impacts. sigma_p5, sigma_p95: of (xx + yy) / 2. coating:
+    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. thermal_xx and so on: the part due to
+    changes of temperature, for a cold coating; the rest is due to the impacts. sigma_p5, sigma_p95: of (xx + yy) / 2. coating:
     share of splats in the slice's matter.
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)

@@ -64,7 +64,7 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
 
 
 def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
-    """What of the section is shown, um, radius m about the axis: left, right, bottom, top; the deepest splat is inside."""
+    """Extent of the shown section, um, radius m about the axis: left, right, bottom, top; the deepest splat is inside."""
     mesh, across = splats.mesh, radius * MICRO
     is_near = np.hypot(*mesh.points[:, :2].T) < radius
     of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.body > 0])
@@ -129,7 +129,7 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
 
 
 def splits(rows: list[dict[str, float]]) -> bool:
-    """Whether rows over depth tell stresses of cooling from those of impacts."""
+    """Whether rows over depth separate stresses of cooling from stresses of impacts."""
     return bool(rows) and "thermal_xx" in rows[0]
 
 

@@ -48,7 +48,7 @@ def row(built: Splats, radius: float) -> Row:
 
 
 def line(now: Row) -> str:
-    """A row in a line of text."""
+    """Text line of a row."""
     return (
         f"after impact {now['impacts']:.0f}: splats {now['splats']:.0f}, thickness {now['thickness_mean_m'] * MICRO:.1f} um"
         f" (bare {now['bare_share']:.0%}), Sa {now['Sa_m'] * MICRO:.1f} um, porosity {now['porosity_closed']:.1%} closed,"

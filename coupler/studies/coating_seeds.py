@@ -50,15 +50,14 @@ def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
 
 
 def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """`coating.measure` of what a run has built, with the errors from the finished seeds of this very scene in its folder. radius m: of
-    the disc."""
+    """`coating.measure` of a run, with the errors from the finished seeds of the same scene in its folder. radius m: of the disc."""
     own, runs = measure(splats, radius), sorted((result.directory / FOLDER).glob("*/summary.json"))
     others = [other for path in runs if _but_its_seed(other := Result(path.parent)) == _but_its_seed(result)]
     return replace(own, seeds=errors([own, *(measure(read(other), own.window_radius_m) for other in others)]))
 
 
 def _but_its_seed(result: Result) -> dict[str, object]:
-    """The scene of a run without what its seed makes."""
+    """The scene of a run without the values that its seed determines."""
     data = parse_toml(result.scene_text)
     return {**data, "particle": None, "coating": {**data.get("coating", {}), "seed": None}}
 

@@ -63,11 +63,11 @@ class Bracket:
 
     @property
     def half_width(self) -> float:
-        """m/s; infinite without a bracket."""
+        """Half the width of the bracket, m/s; infinite without a bracket."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
     def halvings(self, tolerance: float) -> int:
-        """How often a bracket is halved until its width over its middle is `tolerance`; 0 without a bracket."""
+        """Number of halvings until the bracket's width over its middle is `tolerance`; 0 without a bracket."""
         if self.velocity is None:
             return 0
         return max(math.ceil(math.log2(2.0 * self.half_width / (tolerance * self.velocity))), 0)
@@ -103,7 +103,7 @@ class Bracket:
 
 
 def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: float) -> float | None:
-    """Where the shares at velocities in order come to `share` first, by straight lines; None where they do not."""
+    """Lowest velocity (m/s) at which the shares, joined by straight lines, reach `share`; None if they do not."""
     for v, w in itertools.pairwise(velocities):
         a, b = shares[v] - share, shares[w] - share
         if a * b <= 0.0 and a != b:
@@ -199,7 +199,7 @@ def formula_of(scene: Scene) -> PairFormula:
 
 
 def verdict_words(found: Bracket, formula: PairFormula) -> str:
-    """The verdict of a scene over its velocity, from computed bonds and the formula: between what they say it is undecided."""
+    """The verdict of a scene over its velocity, from computed bonds and the formula: undecided between their critical velocities."""
     limits = list(formula.known.values()) if formula.critical is not None else []
     if found.low is None or found.high is None:
         return f"verdict: by the runs alone; {formula.words()}"
@@ -208,7 +208,7 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
 
 
 def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> str:
-    """The error of the scene's resolution, which is not in the band. coarser: points -> what the same search with so many finds."""
+    """The error of the scene's resolution, which is not in the band. coarser: points -> bracket of the same search with so many."""
     if coarser:
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
@@ -217,9 +217,9 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
-    """Error (m/s) of the critical velocity from those of the same scene with fewer points, by the rule of a run's measures
-    (`refinement.error`), and at least half the widest bracket, below which it is unseen; None with fewer than two critical velocities,
-    or without that of the scene itself. coarser: as above."""
+    """Error (m/s) of the critical velocity from the critical velocities of the same scene with fewer points (`refinement.error`), and
+    at least half the widest bracket, below which no error is visible; None with fewer than two critical velocities, or without the
+    scene's own. coarser: as in `resolution_words`."""
     brackets = {scene.derived.points: found} | dict(coarser)
     known = [(points ** (-1.0 / 3.0), each.velocity) for points, each in brackets.items() if each.velocity is not None]
     if found.velocity is None or len(known) < 2:
@@ -297,7 +297,7 @@ def answer_of(rows: Iterable[Row], repeat: int) -> Bracket:
 
 
 def slowest_rebound(rows: Iterable[Row]) -> str | None:
-    """Where the particle leaves most slowly in the mean of the placements, in words; None without a rebound."""
+    """Velocity of impact with the slowest rebound, in the mean of the placements, in words; None without a rebound."""
     rebounds: dict[float, list[float]] = {}
     for row in rows:
         if row["verdict_by_bonds"] == REBOUNDS:

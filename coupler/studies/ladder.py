@@ -60,7 +60,7 @@ class LadderPoint:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """The values of KEY in its row."""
+        """The values of KEY in the row of the setting."""
         return self.axis, self.name, str(self.points)
 
 
@@ -101,7 +101,7 @@ class Clock:
         self._spans: list[list[float]] = []
 
     def probe(self, impact: object) -> None:
-        """Called after every chunk of steps: what lies between the chunks of one impact is its loop."""
+        """Called after every chunk of steps: the time between chunks of one impact is the time of its loop."""
         now = time.process_time()
         if impact is not self._impact:
             self._impact = impact

@@ -39,8 +39,8 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
 
     Two or three axes whose points support it (`maps.sparse`): a surface and its band inside the convex hull of the points, a row of
     panels for each value of a third axis; one axis: a curve, divided where the verdict changes; else points and straight lines.
-    axes: `runs_table.add_axes`; those of its AXES that vary by default. Returns remarks: file and errors of each interpolation,
-    what it cannot tell, and the next point worth a run.
+    axes: see `runs_table.add_axes`; by default all of AXES that vary. Returns remarks: file and errors of each interpolation, its
+    limits, and the next point worth a run.
     """
     remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
@@ -102,7 +102,7 @@ def _quality(fit: Interpolation, m: Measure) -> str:
 
 
 def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, list[Row]]:
-    """The rows by what MARKERS tells apart; quantity: rows without a number of it have no verdict here, but NO_VALUE."""
+    """The rows by the kinds of MARKERS; quantity: rows without a number of it have no verdict here, but NO_VALUE."""
     kinds: dict[str, list[Row]] = {kind: [] for kind in MARKERS}
     for row in rows:
         is_over = row["status"] in ("done", "undecided") and (quantity is None or row[quantity] is not None)
@@ -242,7 +242,7 @@ def _fields(done: Sequence[Row], axes: Axes_, value: float | None, fit: Interpol
 
 
 def _spaced(values: NDArray, axis: str, count: int) -> NDArray:
-    """Places over the range of values of an axis, as evenly as they are drawn."""
+    """Values over the range of an axis, evenly spaced on its scale."""
     return (np.geomspace if axis in LOGARITHMIC else np.linspace)(values.min(), values.max(), count)
 
 

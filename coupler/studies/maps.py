@@ -45,12 +45,12 @@ Place = tuple[float, ...]  # values of the axes, SI
 class Interpolation:
     """A Gaussian process through the points of a map. axes: the columns it goes over; rows: its points.
 
-    loo_rms: root mean square of what each point is off the prediction from all others; loo_inside: share of the points
+    loo_rms: root mean square of the difference of each point from the prediction from all others; loo_inside: share of the points
     that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
     left out together, over the inner values of axes that have four or more, with two points each in the mean; spread: standard
     deviation of the values. In units of the quantity.
-    warnings: lengths that the points cannot tell, in words. _hull: (k,d+1) half spaces n, b with n x + b <= 0 inside the convex hull
-    of the points; x (d,) is scaled by _centre and _scale.
+    warnings: correlation lengths that the points do not resolve, in words. _hull: (k,d+1) half spaces n, b with n x + b <= 0 inside the
+    convex hull of the points; x (d,) is scaled by _centre and _scale.
     """
 
     quantity: str
@@ -69,7 +69,7 @@ class Interpolation:
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
         """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
 
-        The standard deviation is that of a run that would be made there, its scatter included.
+        The standard deviation is for a new run at these values, its scatter included.
         """
         x, shape = self._scaled(at)
         mean, std = self._model.predict(x, return_std=True)
@@ -81,7 +81,7 @@ class Interpolation:
         return np.all(x @ self._hull[:, :-1].T + self._hull[:, -1] <= 1e-9, axis=1).reshape(shape)
 
     def _scaled(self, at: Sequence[ArrayLike]) -> tuple[NDArray, tuple[int, ...]]:
-        """Places (n,d) as the model and the hull have them, and the shape of the values of an axis."""
+        """Points (n,d) in the scaled coordinates of model and hull, and the shape of the values of an axis."""
         points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
         flat = np.stack([value.ravel() for value in points], axis=1)
         return (_logs(flat, self.axes) - self._centre) / self._scale, points[0].shape
@@ -92,8 +92,8 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
 
     Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal likelihood.
     A length lies between the distance of the points, `_distances`, and LONGEST times the range of the axis. Errors of leaving points
-    out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's neighbours of the same velocity tell nearly
-    all of it, so that only leaving them out too tests what lies between. Raises StoreError where the points support no interpolation
+    out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's neighbours of the same velocity nearly
+    determine it, so that only leaving them out too tests the interpolation. Raises StoreError where the points support no interpolation
     (`sparse`) or the quantity is unknown.
     """
     used = with_value(rows, quantity)
@@ -265,8 +265,8 @@ def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[floa
 
 @dataclass(frozen=True)
 class NextPoint:
-    """at: the place, axis -> SI value, at which a run tells most of a quantity, empty where there is none; why: the reason in words,
-    empty for the middle of the two neighbours that differ most."""
+    """at: the next point to compute, axis -> SI value, empty if there is none; why: the reason in words, empty for the midpoint of the
+    two neighbours whose values differ most."""
 
     at: dict[str, float]
     why: str = ""
@@ -277,8 +277,9 @@ class NextPoint:
 
 
 def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> NextPoint:
-    """The place at which a run tells most of a quantity: none for one of FORMULAS; the middle of the widest of `brackets`; of the
-    middles of two points the one with the widest band; without an interpolation the middle of the two neighbours that differ most."""
+    """Next point to compute, not yet in `rows`; empty for one of FORMULAS, or if no point remains. First: midpoint of the widest of
+    `brackets`. Then: the midpoint of two points with the widest confidence band; without an interpolation, the midpoint of the two
+    neighbours whose values differ most."""
     label = measure(quantity).label
     if quantity in FORMULAS:
         return NextPoint({}, f"{label} is a formula of the scene and needs no run")
@@ -307,8 +308,8 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
 def best_point(
     rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
 ) -> tuple[NextPoint, Interpolation | None, str]:
-    """The next point (`next_point`); the interpolation of the quantity, None where the points do not support one; and the reason for
-    that in words. axes: those of AXES that vary by default.
+    """The next point (`next_point`); the interpolation of the quantity, None where the points do not support one; and the reason why
+    not, in words. axes: by default all of AXES that vary.
 
     Of one axis none is fitted across a change of the verdict, where a measure can jump: `sides`.
     """
@@ -337,7 +338,7 @@ def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
 
 
 def place_words(at: Mapping[str, float]) -> str:
-    """A place on the axes in words."""
+    """A point of the map in words."""
     return ", ".join(shown(axis, value) for axis, value in at.items())
 
 

@@ -27,7 +27,7 @@ FACTORS = (0.05, 50.0)  # limits of what is accepted
 
 @dataclass(frozen=True)
 class Pace:
-    """factor: time on this machine over that of the constants of `plan.cost`; source: its origin, for messages."""
+    """factor: time on this machine over the time by the constants of `plan.cost`; source: its origin, for messages."""
 
     factor: float
     source: str

@@ -100,7 +100,7 @@ def run_point(folder: Path, point: str, text: str, again: bool = False, threads:
 
 
 def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
-    """How a point of this scene has ended; None if it has not, or was refused, which takes no time to do again."""
+    """Stored end of a point of this scene; None if it has not ended, or was refused, which costs nothing to repeat."""
     known, scene = folder / f"{point}.json", write_scene(folder, point, text)
     fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
     ended = how_ended(known) if fresh else None
@@ -108,7 +108,7 @@ def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
 
 
 def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
-    """The points of which a folder holds results, of another scene than theirs (TOML)."""
+    """The points whose results in a folder belong to another scene (TOML)."""
     others = []
     for point, text in points.items():
         scene, known = folder / f"{point}.toml", folder / f"{point}.json"
@@ -132,7 +132,7 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
     """Run a scene into the folder of its name, or continue there; write how it ended to `status` and return it.
 
     {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
-    InterruptedRunError and leaves no status, so that the next attempt goes on with it.
+    InterruptedRunError and leaves no status, so that the next attempt continues it.
     """
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
@@ -173,7 +173,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _wait_for(folder: Path) -> None:
-    """Until no other process writes to the folder: one of a sweep whose head was killed may go on to its end."""
+    """Wait until no other process writes to the folder: a run of a sweep whose main process was killed may continue to its end."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
@@ -184,7 +184,7 @@ def _wait_for(folder: Path) -> None:
 
 
 def _command(scene: Path, folder: Path, threads: int) -> list[str]:
-    """What computes a scene, or goes on with it where its folder holds a run of this very scene."""
+    """Command that computes a scene, or continues it if its folder has a run of the same scene."""
     verb: list[object] = ["run", scene, "--out", folder, "--force"]
     measured = False
     with contextlib.suppress(SceneError, InputError):  # a scene that cannot be read is refused by its run

@@ -34,8 +34,8 @@ def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
     status: "done", "failed" or "undecided" (then `reason` says why), or "unfinished"; measures, as in the summaries, of points
-    that are not done are missing; of several impacts those of the last. keys: every number of its scene by its key, SI units; units:
-    those that the scene writes. verdict: of the run; version: of the program that computed it. Raises StoreError if
+    that are not done are missing; of several impacts the measures of the last. keys: every number of its scene by its key, SI units;
+    units: as the scene writes them. verdict: of the run; version: of the program that computed it. Raises StoreError if
     the folder is not there or holds no point.
     """
     folder = Path(folder)
@@ -52,7 +52,7 @@ def table(folder: str | Path) -> list[Row]:
 
 
 def _readable_row(folder: Path, name: str) -> Row:
-    """The row of a point; one whose files make no sense has failed, and does not end the map."""
+    """The row of a point; a point whose files cannot be read counts as failed, and does not end the map."""
     try:
         with reading(folder / name):
             return _row(folder, name)
@@ -138,7 +138,7 @@ def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
 
 
 def counts(rows: Sequence[Row]) -> dict[str, int]:
-    """How many rows have each of STATUSES."""
+    """Number of rows with each of STATUSES."""
     return {status: sum(row["status"] == status for row in rows) for status in STATUSES}
 
 

@@ -184,7 +184,7 @@ def _ratios(target: object, problems: list[str]) -> dict[str, float]:
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """Keys of nested tables in one, as those of a scene, with what is no table or a distribution."""
+    """Nested tables as one table of dotted keys of a scene; a distribution counts as a value."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
         if isinstance(value, Mapping) and not Distribution.is_table(value):

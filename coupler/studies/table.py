@@ -33,7 +33,7 @@ class StudyTable:
         return any(self._key_of(row) == key for row in self.rows)
 
     def add(self, row: Mapping[str, object]) -> Row:
-        """Put a row in, in place of one with the same key, stamp it with this program's version and write the file."""
+        """Add a row, in place of a row with the same key, with this program's version, and write the file."""
         new = {name: cell(row.get(name, "")) for name in self.columns} | {"version": __version__}
         same = [k for k, old in enumerate(self.rows) if self._key_of(old) == self._key_of(new)]
         self.rows[same[0] if same else len(self.rows) :] = [new, *self.rows[same[0] + 1 :]] if same else [new]
@@ -49,7 +49,7 @@ class StudyTable:
 
 
 def other_version(row: Mapping[str, str]) -> str:
-    """The version that computed a row where it is not this program's, "" otherwise."""
+    """The version that computed a row if it differs from this program's version, else ""."""
     version = row.get("version", "unknown")
     return "" if version == __version__ else version
 

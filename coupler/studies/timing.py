@@ -38,7 +38,7 @@ def measure() -> float:
 
 
 def _timed() -> float:
-    """Processor time of a step, the median over the chunks of steps, over that of the constants."""
+    """Processor time of a step, the median over the chunks of steps, over the time by the constants of `plan.cost`."""
     marks: list[tuple[float, int]] = []
 
     def probe(impact: Any) -> None:
