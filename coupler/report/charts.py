@@ -48,7 +48,7 @@ MOMENT = 1e-13  # s: less than a page shows, and more than its digits leave out
 def energy(history: History) -> Figure | None:
     """The ledger over time, stacked, each impact in % of the kinetic energy of its own particle; None without its columns.
 
-    What the columns that are known here leave of the whole is shown as "other", so that the stack is always the total that was booked.
+    The part of the total that is in none of these columns is shown as "other", so that the stack is always the recorded total.
     """
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None

@@ -39,7 +39,7 @@ FIELDS = {
 
 
 def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple[NDArray[np.int64], NDArray]:
-    """Which points, and with which weights, make the value at each place inside a cloud.
+    """Points and weights that interpolate a value at each place inside a cloud.
 
     points: (n, 3) m. places: (k, 3) m. void: m, a place without a point so near lies in none of the metal. Returns
     indices and weights, (k, j) each; weights of a place sum to one, and are not numbers in a void.

@@ -55,7 +55,7 @@ class Page:
         )
 
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
-        """The whole file."""
+        """Text of the whole HTML file."""
         here = files(__package__)
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
         return Template((here / "page.html").read_text(encoding="utf-8")).substitute(
@@ -80,8 +80,8 @@ def write_report(
     stage: Callable[[str], None] = lambda text: None,
     coating: Sequence[tuple[str, str]] = (),
 ) -> Path:
-    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text): told what
-    comes next. coating: what the splats make together, label and value each (`studies.coating.lines`).
+    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text):
+    called with the name of each step. coating: measures of the coating, label and value each (`studies.coating.lines`).
 
     Returns the path. Raises StoreError if a file of the run is damaged or the page cannot be written.
     """

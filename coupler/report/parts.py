@@ -59,7 +59,7 @@ def table(
 
 
 def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "", heads: Sequence[str] = ()) -> str:
-    """A row of a table. kinds: the class of each cell, "" for none; kind: that of the row; heads: of the columns, to repeat."""
+    """A row of a table. kinds: the class of each cell, "" for none; kind: class of the row; heads: of the columns, to repeat."""
 
     def of(name: str, attribute: str = "class") -> str:
         return f' {attribute}="{escape(name)}"' if name else ""
@@ -82,8 +82,8 @@ def front(summary: Summary) -> str:
 
 
 def measures(summary: Summary) -> str:
-    """All measures of a run, a table for each group: those of its one impact with errors where there are any, of several impacts those
-    of the whole."""
+    """All measures of a run, a table for each group: of a single impact with errors if there are any, of several impacts the measures
+    of the whole run."""
     is_one = len(summary.get("impacts", [])) == 1
     blocks = columns(summary) if is_one or not summary else {"": plain(summary["run"])}
     errors = errors_of(summary) if is_one else {}
@@ -128,7 +128,7 @@ COLD_ROWS = (
 
 
 def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
-    """What the closing stage has left: the lines on stress of the coating, and COLD_ROWS."""
+    """Results of the closing stage: the lines on stress of the coating, and COLD_ROWS."""
     closing = summary.get("closing", {})
     known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
     stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]

@@ -98,7 +98,7 @@ def drawable(result: Result) -> list[str]:
 
 
 def stage(result: Result) -> Stage:
-    """The plane through the middle of the particle at the start, of several that which cuts the most of them, the first of equal ones.
+    """The plane through the middle of the particle at the start; of several particles the first plane that cuts the most of them.
 
     Raises StoreError without a stored step.
     """
@@ -113,7 +113,7 @@ def stage(result: Result) -> Stage:
 
 
 def _most_cut(plan: Values, first: float) -> float:
-    """The plane y (m) through the centre of one of a plan's particles that cuts the most of them; first: that of the first one."""
+    """The plane y (m) through the centre of one of a plan's particles that cuts the most of them; first: y of the first one."""
     try:
         impacts = [(float(each["offset"][1]), float(each["diameter"])) for each in plan["impacts"]]
     except (KeyError, TypeError, IndexError, ValueError):  # without a plan that can be read
@@ -124,7 +124,7 @@ def _most_cut(plan: Values, first: float) -> float:
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
-    """What a picture shows, um: the particle, the splats and the jets of the target at all the given steps, and room around.
+    """Extent of a picture, um: particle, splats and jets of the target at all the given steps, and a margin.
 
     While a particle flies away it keeps its size (`reach`).
     """

@@ -126,7 +126,7 @@ def errors_of(summary: Summary, i: int = -1) -> dict[str, float]:
 
 
 def error_note(summary: Summary) -> str:
-    """What the errors of a run are measured with, or why there are none; "" where they were not asked for."""
+    """Text on how the errors of a run are measured, or why there are none; "" if they were not asked for."""
     record = (summary["run"].get("error") if summary else None) or {}
     failed = [str(text) for text in record.get("failed", [])]
     points = [str(n) for n in record.get("points", [])]
@@ -227,7 +227,7 @@ def _come_off(records: Sequence[Block]) -> list[str]:
 
 
 def _decided_by(records: Sequence[Block]) -> list[str]:
-    """How many verdicts are decided by what, in a line; none where the records do not say."""
+    """Line with the number of verdicts decided by each method; none if the records do not name it."""
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
     texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
