@@ -128,7 +128,7 @@ def add_jobs(option: Option, text: str) -> None:
 
 
 def jobs_of(arguments: argparse.Namespace) -> int:
-    """How many computations at a time: as --jobs says, else as many as there are cores."""
+    """Number of computations at a time: of --jobs, else the number of cores."""
     from ..core.cores import cores
 
     return arguments.jobs or cores()

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Setup(NamedTuple):
-    """What `gas` and `window` compute with. metals: by name; diameters: m; fly(metal, diameters): the flights of its particles."""
+    """Input data of `gas` and `window`. metals: by name; diameters: m; fly(metal, diameters): the flights of its particles."""
 
     flow: "Flow"
     metals: "dict[str, Material]"

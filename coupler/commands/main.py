@@ -117,7 +117,7 @@ def _prepare() -> None:
 
 
 def _flush() -> bool:
-    """Write out what standard streams hold. What cannot be written goes nowhere; returns whether all could."""
+    """Flush the standard streams. Text that cannot be written is dropped; returns whether all was written."""
     done = True
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -212,7 +212,7 @@ def _add_running(option: Option) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Of several ranks, only the first prints an error in the command line."""
+    """Argument parser of which only the first of several ranks prints an error."""
 
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():

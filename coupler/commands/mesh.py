@@ -121,7 +121,7 @@ def _impact_at(result: "Result", time: float) -> int:
 def of_file(
     path: Path, spacing: float | None = None, unit: float | None = None, columns: str | None = None
 ) -> tuple["Cloud", list[str]]:
-    """The points of a file in units of `unit` m, with the fields of known names; and remarks. columns: names of those of a text.
+    """The points of a file in units of `unit` m, with the fields of known names; and remarks. columns: names of the columns of a text.
 
     Raises InputError if it cannot be read or has no points, SplatError if it is a surface or no body can be made of it.
     """
@@ -171,7 +171,7 @@ def of_file(
 
 
 def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
-    """The unit of coordinates, m: the one given, or that which the file has. Raises SplatError where they differ."""
+    """The unit of coordinates, m: of --unit, or of the file. Raises SplatError where they differ."""
     if not of_file:
         return given or 1.0
     try:

@@ -147,7 +147,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
-    """The distributions in columns; error: that of the resolution, the median over the runs that measure it."""
+    """The distributions in columns; error: of the resolution, the median over the runs that measure it."""
     from ..studies.table import in_columns
 
     head = ("", "runs", "mean", "deviation", "error", "5 %", "median", "95 %", "unit", "strongest rank correlation")

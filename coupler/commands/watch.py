@@ -117,7 +117,7 @@ def state(result: "Result") -> str:
 
 
 def _columns(name: str, history: Mapping[str, object]) -> list[str]:
-    """The columns of a term of the ledger: its own, or those of both domains."""
+    """The columns of a term of the ledger: its own, or the columns of both domains."""
     return [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
 
 

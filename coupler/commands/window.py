@@ -54,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
-    """Particles and deposition efficiency in some lines. within: uncertainty of the critical velocity."""
+    """Text lines: impact conditions at D10, D50, D90 and the deposition efficiency, with its range. within: relative uncertainty of
+    the critical velocity, 0 to 1."""
     from ..spray.flight import melting
 
     ratio = spray.ratio
