@@ -59,7 +59,7 @@ class PairFormula:
     """Schmidt's formula for a particle on a metal. It is fitted to particles on their own kind, so that it is evaluated for both
     metals, at the particle's temperature and diameter, and decides where both agree.
 
-    metal, base: names of the particle's metal and of that which it hits, "" where none is named; critical, base_critical m/s: their
+    metal, base: names of the particle's metal and of the metal that it hits, "" where none is named; critical, base_critical m/s: their
     critical velocities, None where a metal has no tensile strength.
     """
 
@@ -191,7 +191,7 @@ def stored_at_strength(strength: float, stiffness: float) -> float:
 
 @dataclass(frozen=True)
 class PairBond:
-    """Strengths (Pa) and energies (J/m2) of the bonds between two metals, in any order; those of all metals where None."""
+    """Strengths (Pa) and energies (J/m2) of the bonds between two metals, in any order; None: the value of all metals."""
 
     metals: tuple[str, str]
     strength: float | None = None
@@ -214,8 +214,7 @@ class Adhesion:
     the critical one (threshold 1 unless given), or by "exposure" (cohesive only): the share of each place that has bonded by
     `sound_fraction`, with the law of `ligament_bonds`, from the oxide films of the metals. Thresholds of strain and pressure
     depend on the pair of metals and on the mesh, no published one is valid in general, and there is no default. pairs: laws of two
-    metals in place of that of all. Raises
-    SceneError with every problem.
+    metals in place of the law of all. Raises SceneError with every problem.
     """
 
     kind: Kind = "none"
@@ -271,7 +270,7 @@ class Adhesion:
             raise SceneError(problems, "adhesion")
 
     def between(self, first: str, second: str) -> "Adhesion":
-        """The adhesion of two metals: with the law of their pair, or that of all."""
+        """The adhesion of two metals: with the law of their pair, or the law of all metals."""
         for pair in self.pairs:
             if set(pair.metals) == {first, second}:
                 own = {name: value for name in LAW if (value := vars(pair)[name]) is not None}
@@ -345,7 +344,7 @@ class Adhesion:
         return {name: float(value) for name in LAW if (value := vars(self)[name]) is not None}
 
     def law_on(self, metal: str, others: Sequence[str]) -> dict[str, np.ndarray]:
-        """The same for n bonds of a metal to each of `others`, as arrays (n,); in shear as in tension unless said."""
+        """As `law`, as arrays (n,), for n bonds of a metal to each of `others`; the same in shear as in tension unless given."""
         laws = {other: self.between(metal, other).law() for other in set(others)}
         arrays = {}
         for name in LAW:

@@ -63,7 +63,7 @@ def refuse(problems: list[str], name: str) -> None:
 
 
 def unknown(kind: str, name: str, known: Mapping[str, object]) -> str:
-    """The message for a record that is not there. known: those of this kind by name."""
+    """The message for an unknown record. known: the records of this kind by name."""
     return f"unknown {kind}{units.nearest(name, known)}; known: {', '.join(known)}"
 
 

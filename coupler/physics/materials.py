@@ -196,7 +196,7 @@ class Entry:
     aliases: tuple[str, ...]
 
     def with_set(self, choice: str) -> Material:
-        """The material with a set, by its name or by that of its law (the first of it). Raises ValueError, naming those there are."""
+        """The material with a strength set, by the set's name or its law's (the first). Raises ValueError that names all."""
         for name, table in self.sets.items():
             if choice in (name, table["law"]):
                 return _with_set(self.material, name, table)
@@ -246,7 +246,7 @@ def fitted_at(metal: Material, rate: float) -> list[str]:
 
 
 def unknown(name: str, known: Mapping[str, Material]) -> str:
-    """The message for a material that is not there. known: materials by name and other names."""
+    """The message for an unknown material. known: materials by name and other names."""
     proper = {key: metal for key, metal in known.items() if key == metal.name}
     return f"unknown material{units.nearest(name, known)}; known: {', '.join(proper)}"
 
@@ -289,7 +289,7 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
 
 
 def _with_own_fields(table: Mapping[str, object], base: Material | None, problems: list[str]) -> dict[str, object]:
-    """The table with rho in the place of density, and with G and c0 = sqrt(K / rho) in that of E and nu. problems: grows."""
+    """The table with rho in place of density, and with G and c0 = sqrt(K / rho) in place of E and nu. problems: grows."""
     own = {"rho" if key == "density" else key: value for key, value in table.items()}
     given: dict[str, float] = {}
     for key in [key for key in ("E", "nu") if key in own]:

@@ -1,4 +1,4 @@
-"""State of a metal that goes on to the next impact: from the points of a particle to the elements of its splat."""
+"""State of a metal that passes to the next impact: from the points of a particle to the elements of its splat."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -12,8 +12,8 @@ UNKNOWN: Any = None  # in a cloud of points that does not have a field
 
 @dataclass(frozen=True, kw_only=True)
 class MetalState:
-    """Of n points or elements: eps_p; T K; eps_gradient 1/m, gradient of eps_p (in the unrotated frame while they move), zero in metals
-    that it does not harden. A field more here is kept and restored, meshed, joined, renumbered and carried from cut to cut."""
+    """State of n points or elements: eps_p; T K; eps_gradient 1/m, gradient of eps_p (in the unrotated frame in an impact), zero in
+    metals that it does not harden. A further field here is stored, restored, meshed, joined and renumbered without other changes."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN
@@ -21,5 +21,5 @@ class MetalState:
 
 
 def carried(record: MetalState) -> dict[str, np.ndarray]:
-    """The fields of a record that go on to the next impact, by name; those that are not known are left out."""
+    """The fields of a record that pass to the next impact, by name; unknown fields are left out."""
     return {name: vars(record)[name] for name in rows_of(MetalState) if vars(record)[name] is not None}

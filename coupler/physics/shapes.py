@@ -49,7 +49,7 @@ class Form:
     corners: tuple[tuple[float, float, float], ...] = ()
 
     def support(self, nx: float, ny: float, nz: float) -> float:
-        """How far (m) the untilted shape reaches from its centre along the unit vector (nx, ny, nz)."""
+        """Distance (m) that the untilted shape reaches from its centre along the unit vector (nx, ny, nz)."""
         a, b, c = (0.5 * length for length in self.lengths)
         if self.corners:
             return max(nx * x + ny * y + nz * z for x, y, z in self.corners)
@@ -73,7 +73,7 @@ class Form:
         return self.support(nx, ny, nz) + self.support(-nx, -ny, -nz)
 
     def scaled(self, factor: float) -> "Form":
-        """The same, larger by a factor."""
+        """The form scaled by a factor."""
         a, b, c = (factor * length for length in self.lengths)
         corners = tuple((factor * x, factor * y, factor * z) for x, y, z in self.corners)
         return Form(self.name, (a, b, c), factor * self.thinnest, corners)
