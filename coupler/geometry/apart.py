@@ -45,7 +45,7 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
 
 
 def main(folder: Path) -> None:
-    """What the process does: the call, and its result or ColdsprayError into the folder."""
+    """Main function of the process: make the call and write its result or ColdsprayError into the folder."""
     call = pickle.loads((folder / "call").read_bytes())
     try:
         result = call()

@@ -55,7 +55,7 @@ class RaySurface:
         return self._scene.compute_occupancy(self._single(x), nthreads=1).numpy() > 0.5
 
     def windings(self, x: NDArray) -> NDArray[np.int64]:
-        """How many times a closed surface surrounds each of places x (k,3) m: 0 outside, 1 inside, 2 where it holds metal twice."""
+        """Winding number of the closed surface about points x (k,3) m: 0 outside, 1 inside, 2 where the surface overlaps itself."""
         aside = (
             1e-3 * self.unit * np.array([0.731, 1.237])
         )  # no line then passes through an edge of a symmetric surface
@@ -77,7 +77,7 @@ class RaySurface:
         return points, closest["primitive_ids"].numpy().astype(np.int64), weights
 
     def on_verticals(self, x: NDArray, y: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        """Where vertical lines at x, y (k,) m meet the surface: line (c,), height (c,) m and triangle (c,) of each crossing."""
+        """Crossings of vertical lines at x, y (k,) m with the surface: line (c,), height (c,) m and triangle (c,) of each."""
         low = -60.0  # where the lines begin, below everything
         rays = np.zeros((len(x), 6), np.float32)
         rays[:, 0], rays[:, 1] = (x - self.middle[0]) / self.unit, (y - self.middle[1]) / self.unit

@@ -1,4 +1,4 @@
-"""Surfaces that bound a solid: their checks before they are filled, and the cleaning of those of users (open3d)."""
+"""Surfaces that bound a solid: their checks before they are meshed, and the cleaning of surfaces that users give (open3d)."""
 
 from dataclasses import dataclass
 from fractions import Fraction
