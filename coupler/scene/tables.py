@@ -172,19 +172,19 @@ class Particle(_WithDwell):
 
     @property
     def form(self) -> morphology.Form:
-        """Its shape in its size; that of a file is a sphere until the file is read (`coupler.plan.solids`)."""
+        """The particle's shape in its size; a shape from a file is a sphere until the file is read (`coupler.plan.solids`)."""
         if self.shape == "file":
             return (self._of_file or morphology.form("sphere", 1.0)).scaled(self.diameter)
         return morphology.form(self.shape, self.diameter)
 
     @property
     def width(self) -> float:
-        """Its extent along the target, the larger of two, m; a sphere's diameter."""
+        """Extent of the particle along the target, the larger of two, m; a sphere's diameter."""
         return self.form.width(self.tilt)
 
     @property
     def height(self) -> float:
-        """Its extent across the target, m, but no less than the diameter of the sphere of equal volume."""
+        """Extent of the particle normal to the target, m, but no less than the diameter of the sphere of equal volume."""
         return max(self.diameter, self.form.height(self.tilt))
 
 
