@@ -75,12 +75,12 @@ class Flight:
 
     @property
     def velocity(self) -> float:
-        """At impact, m/s."""
+        """Velocity at impact, m/s."""
         return float(self.v[-1])
 
     @property
     def temperature(self) -> float:
-        """At impact, K."""
+        """Temperature at impact, K."""
         return float(self.T[-1])
 
 
@@ -89,7 +89,7 @@ def melting(
 ) -> list[str]:
     """Notes on particles that melt in flight or, where none does, that arrive near their melting point.
 
-    diameter: m; hottest, impact: K, the highest temperature in flight and that at impact."""
+    diameter: m; hottest, impact: K, the highest temperature in flight and the temperature at impact."""
     near = NEAR_MELTING * material.T_m
     for temperature, limit, text in (
         (hottest, material.T_m, f"reach the melting point ({material.T_m:.0f} K) in flight: melt is not modelled"),

@@ -183,7 +183,7 @@ class Flow:
 
     @cached_property
     def mass_flow(self) -> float:
-        """kg/s: that of the choked throat."""
+        """Mass flow of the choked throat, kg/s."""
         throat = self._expanded(1.0)
         return throat.rho * throat.u * math.pi / 4 * self.nozzle.throat**2
 
@@ -210,7 +210,7 @@ class Flow:
 
     @cached_property
     def jet_diameter(self) -> float:
-        """m: what carries the mass flow in the state `jet`."""
+        """Diameter of a jet with the nozzle's mass flow in the state `jet`, m."""
         return math.sqrt(4 / math.pi * self.mass_flow / (self.jet.rho * self.jet.u))
 
     @cached_property
@@ -220,7 +220,7 @@ class Flow:
 
     def outside(self, x: float) -> State:
         """The gas on the axis of the free jet: constant in the core, then Lau, Morris & Fisher's decay; the total
-        temperature mixes as the velocity does (Crocco-Busemann). Its density is that of the gas, not of a mixture."""
+        temperature mixes as the velocity does (Crocco-Busemann). The density is the density of the gas, not of a mixture."""
         s = (x - self.nozzle.end) / self.core
         share = 1 - math.exp(1.35 / (1 - s)) if s > 1 else 1.0
         u = share * self.jet.u
@@ -231,7 +231,7 @@ class Flow:
     def layer(self) -> float:
         """Distance of the bow shock from the target, m; 0 without one.
 
-        What enters a disk of the jet's size leaves over its rim at the speed of sound, as in the continuity argument of
+        The mass that enters a disk of the jet's size leaves over its rim at the speed of sound, as in the continuity argument of
         Moeckel (1949), NACA TN 1921, for a layer of constant thickness: an estimate.
         """
         before = self.outside(self.target)
@@ -264,7 +264,7 @@ class Flow:
 
     @property
     def target(self) -> float:
-        """Where the target is, m."""
+        """Position of the target, m from the throat."""
         return self.nozzle.end + self.standoff
 
     @cached_property

@@ -28,7 +28,7 @@ _DEFAULTS: dict[str, object] = {"barrel": 0.0, "chamber": 0.0, "injection": None
 class Nozzle:
     """A nozzle of circular section, m. inlet, throat, exit: diameters, a cone between each and the next; converging,
     diverging: lengths of the cones; chamber: a straight part before them, barrel: one behind. injection: where the powder is
-    fed, from the throat (upstream negative); None: at the very start. assumed: what of this is not known."""
+    fed, from the throat (upstream negative); None: at the very start. assumed: which of these lengths are not known."""
 
     name: str
     inlet: float
@@ -73,7 +73,7 @@ def library() -> dict[str, Nozzle]:
 
 
 def unknown(name: str, known: Mapping[str, object]) -> str:
-    """The message for a nozzle that is not there. known: nozzles by name."""
+    """The message for an unknown nozzle. known: nozzles by name."""
     return records.unknown("nozzle", name, known)
 
 
