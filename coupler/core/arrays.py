@@ -19,15 +19,15 @@ Matrix: TypeAlias = tuple[float, float, float, float, float, float, float, float
 
 
 def occurring(ids: Ints, n: int) -> NDArray[np.int64]:
-    """The numbers below n that an array holds, ascending: what `numpy.unique` finds in ten times the time."""
+    """The numbers below n that occur in an array, ascending: as `numpy.unique`, ten times as fast."""
     has = np.zeros(n, np.bool_)
     has[ids] = True
     return np.flatnonzero(has)
 
 
 class SpringTable(NamedTuple):
-    """Springs between nodes and places on triangles. ends (k,4): the node and the corners; weights (k,4): 1 and less those of the
-    place, so that their sum over the ends is how far they are apart; stiffness (k,) N/m: the largest of all directions."""
+    """Springs between nodes and points on triangles. ends (k,4): the node and the corners; weights (k,4): 1 and minus the barycentric
+    coordinates, so that the weighted sum of positions is the distance vector; stiffness (k,) N/m: the largest of all directions."""
 
     ends: Ints
     weights: Floats
@@ -35,7 +35,7 @@ class SpringTable(NamedTuple):
 
     @classmethod
     def of(cls, nodes: Ints, triangles: Ints, weights: Floats, stiffness: Floats) -> "SpringTable":
-        """Of nodes (k,) and triangles (k,3), with weights (k,3) of the places."""
+        """Table of springs between nodes (k,) and points with barycentric coordinates weights (k,3) on triangles (k,3)."""
         return cls(
             np.concatenate([nodes[:, None], triangles], axis=1),
             np.concatenate([np.ones((len(nodes), 1)), -weights], axis=1),

@@ -61,17 +61,17 @@ def executor(
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes to which an interrupt from the terminal, which is the parent's affair, never comes, not even while they start."""
+    """Processes that get no interrupt from the terminal, not even while they start: the parent handles it."""
 
     def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
-        """As that of the base class, which starts processes; they inherit the mask of signals."""
+        """As in the base class, which starts processes; they inherit the mask of signals."""
         with without_interrupts():
             return super().submit(*arguments, **options)
 
 
 @contextlib.contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Within it, processes start to which an interrupt from the terminal never comes."""
+    """Context in which new processes get no interrupt from the terminal."""
     resource_tracker.ensure_running()  # else it starts with the first process, and lets SIGINT through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

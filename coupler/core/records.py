@@ -23,13 +23,13 @@ class Kept(Protocol):
     """A part of a simulation that gives its state as a record."""
 
     def state(self) -> object:
-        """Its state, as a checkpoint holds it."""
+        """The state of the part, for a checkpoint."""
 
 
 class Shape:
     """Says of an array field, in its annotation, which shape (-1 where the length is free) and type it has.
 
-    index_of: what its numbers count, as `check_indices` knows it.
+    index_of: the objects that its numbers refer to, by the names of `check_indices`.
     """
 
     per_row = False
@@ -41,7 +41,7 @@ class Shape:
 class Rows(Shape):
     """Says of an array field that it has a row of this shape for each node, element or point, `fill` to begin with.
 
-    lammps: whether LAMMPS keeps it. least: none of its values is smaller on a mesh made of points (None: than that of any point).
+    lammps: whether LAMMPS stores it. least: none of its values is smaller on a mesh made of points (None: than that of any point).
     """
 
     per_row = True
@@ -76,7 +76,7 @@ def shapes_of(record: object) -> dict[str, Shape]:
 
 
 def rows_of(record: object) -> dict[str, Rows]:
-    """Those of them that have a row for each node, element or point."""
+    """The array fields that have a row for each node, element or point."""
     return {name: spec for name, spec in shapes_of(record).items() if isinstance(spec, Rows)}
 
 
@@ -105,7 +105,7 @@ def copied(record: R) -> R:
 
 
 def put(record: R, into: R) -> None:
-    """Write the arrays of such a record into those of another. Raises CheckpointError where their shapes differ."""
+    """Write the arrays of a record into the arrays of another of the same kind. Raises CheckpointError where their shapes differ."""
     values = arrays_of(record)
     for name, array in arrays_of(into).items():
         if values[name].shape != array.shape:
@@ -152,7 +152,7 @@ def take(record: R, index: np.ndarray) -> R:
 
 
 def concatenate(records: Sequence[R]) -> R:
-    """All rows of several such records, in their order, other fields as in the first; those of a single one are not copied."""
+    """All rows of several records of one kind, in their order, other fields as in the first; a single record is not copied."""
     if len(records) == 1:
         return records[0]
     arrays = [arrays_of(record) for record in records]
@@ -170,7 +170,7 @@ def scatter(parts: Sequence[R], owners: Sequence[np.ndarray], n: int) -> R:
 
 
 def check_indices(record: object, **counts: int) -> None:
-    """Raise CheckpointError where an array of indices points at more objects than there are. counts: by `index_of`."""
+    """Raise CheckpointError where an index refers to an object that does not exist. counts: number of objects by `index_of`."""
     for name, spec in shapes_of(record).items():
         value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):

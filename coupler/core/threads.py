@@ -36,7 +36,7 @@ class _Loop:
         self.error: BaseException | None = None
 
     def take(self) -> None:
-        """Do parts until none is left."""
+        """Compute parts until none is left."""
         for part in self._next:
             try:
                 self._work(part)
@@ -82,7 +82,7 @@ class Team:
             raise loop.error
 
     def close(self) -> None:
-        """End the threads, after what was begun."""
+        """End the threads, after the tasks that have begun."""
         for queue in self._begun:
             queue.put(None)
         for thread in self._threads:
@@ -111,7 +111,7 @@ def _of(count: int) -> Team:
 
 @contextmanager
 def threads_of(count: int) -> Iterator[None]:
-    """Meanwhile, this process computes in `count` threads. BLAS has one: more would add up long products in another order, and wait for
+    """Compute in `count` threads within this context. BLAS has one: more would add up long products in another order, and wait for
     cores that the others keep busy."""
     before = _current.set(_of(count))
     try:
