@@ -31,8 +31,8 @@ _OF_BOND = ("stored", "dissipated")
 
 @dataclass(frozen=True)
 class Cut:
-    """Where a cut was. part: what it holds; nodes, elements: those of the whole that an impact on it can change; before: the ledgers of
-    target, contact and bonds when it was made."""
+    """Record of a sub-domain. part: its domain and indices; nodes, elements: indices in the full domain that its impact can change;
+    before: the ledgers of target, contact and bonds when it was made."""
 
     part: Selection
     nodes: np.ndarray
@@ -41,8 +41,8 @@ class Cut:
 
 
 def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
-    """What lies within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The whole stays as it is, but
-    for the heat of friction that its elements get."""
+    """The sub-domain within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The full domain does not
+    change, except that its elements get the pending heat of friction."""
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.nodes.x
@@ -96,8 +96,8 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
-    """The whole with parts in the place of their cuts, which share no node that they can change; new splats come after all others, in
-    the order of the parts. Numbers of the whole do not change."""
+    """The full domain with each computed part in place of its sub-domain. No node may be modified by two parts. New splats are numbered
+    after existing bodies, in the order of parts; existing numbers do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
     places: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
@@ -154,7 +154,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
 
 
 def _gain(parts: Sequence[tuple[Cut, Bodies]]) -> Ledgers:
-    """What has been added to the ledgers of all parts since they were cut out."""
+    """Sum of the amounts added to the ledgers of all parts since they were cut out."""
     gain: Ledgers = {}
     for cut, part in parts:
         for name, value in _ledgers(part).items():

@@ -26,8 +26,8 @@ SPLAT = "splat"  # name of the facets of body b: SPLATb
 
 @dataclass(frozen=True)
 class BodyState(MetalState):
-    """A body that is to join: points (n,3) m and tets (m,4); in elements stress (m,6) Pa Voigt xx yy zz yz xz xy, J (m,) and the state
-    of the metal; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
+    """A body that will join the target: points (n,3) m and tets (m,4); in elements stress (m,6) Pa Voigt xx yy zz yz xz xy, J (m,) and
+    the state of the metal; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
 
     points: np.ndarray
     tets: np.ndarray
@@ -128,9 +128,9 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
 
 
 def only(domain: Domain, kept: np.ndarray) -> tuple[Domain, np.ndarray, np.ndarray]:
-    """The bodies of a mask (bodies,), the substrate among them, in their order.
+    """A domain of the bodies of a mask (bodies,), which must include the substrate, in their order.
 
-    Returns them and the new number of each node (n,) and facet (f,) of before, -1 where it is gone.
+    Returns it, and the new number of each node (n,) and facet (f,) of the original domain, -1 if it is removed.
     """
     part = select(domain, kept[domain.body])
     return (
@@ -141,21 +141,22 @@ def only(domain: Domain, kept: np.ndarray) -> tuple[Domain, np.ndarray, np.ndarr
 
 
 def _new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
-    """Number (n,) of each of n rows among those kept, -1 where it is not."""
+    """New number (n,) of each of n rows if only the rows `kept` stay, -1 of removed rows."""
     number = np.full(n, -1)
     number[kept] = np.arange(len(kept))
     return number
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
-    """A running target as a domain, to be read before it goes on: it shares its arrays. body (m,) of each element."""
+    """The present state of a target as a domain, which shares the target's arrays: read it before the next step. body (m,) of each
+    element."""
     return Domain(target.mesh, target.nodes, target.elements, body, target.laws)
 
 
 @dataclass(frozen=True)
 class Selection:
-    """A part of a domain as a domain of its own; nodes, elements, facets, bodies: which each of its own was, ascending. The faces of
-    the cut come after the facets, in the set "cut"."""
+    """A part of a domain as a domain of its own. nodes, elements, facets, bodies: indices in the original domain, ascending. The faces
+    of the cut come after the facets, in the set "cut"."""
 
     domain: Domain
     nodes: np.ndarray
@@ -167,7 +168,8 @@ class Selection:
 def select(domain: Domain, chosen: np.ndarray) -> Selection:
     """The elements chosen (m,) bool of a domain.
 
-    Nodes keep their volumes, elements outside included. Facet sets of bodies after the first, "splat1" and so on, follow the bodies.
+    Nodes keep their volumes, the shares of elements outside included. Facet sets of bodies after the first, "splat1" and so on, follow
+    the bodies.
     """
     mesh, body = domain.mesh, domain.body
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
