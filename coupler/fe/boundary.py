@@ -1,4 +1,4 @@
-"""Where a target is cut from a larger body: dashpots that let waves out, and springs that stand for the rest of a half-space."""
+"""Artificial boundaries of a target: dashpots that absorb waves, and springs that replace the rest of a half-space."""
 
 import numpy as np
 

@@ -38,7 +38,7 @@ LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 @dataclass(frozen=True)
 class TargetState:
-    """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
+    """State from which a target continues with the same numbers; the mesh is not part of it.
 
     force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
     the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work, work of the bulk viscosity with what the inertia
@@ -146,17 +146,17 @@ class Target:
 
     @property
     def spring_rest(self) -> np.ndarray:
-        """Where the springs of the half-space have no force: points (k,3) m of the nodes `spring_nodes`."""
+        """Positions (k,3) m of the nodes `spring_nodes` at which the springs of the half-space have no force."""
         return self.rest_scale * self.mesh.points[self.spring_nodes]
 
     def foundation_load(self) -> np.ndarray:
-        """What the springs of the half-space add to each node (n,) in the bound on omega^2, N/m."""
+        """Row sums (n,) of the stiffness of the half-space's springs for the bound on omega^2, N/m."""
         load = np.zeros(len(self.nodes.x))
         load[self.spring_nodes] = np.abs(self.springs).sum(axis=2).max(axis=1, initial=0.0)
         return load
 
     def _weigh(self) -> None:
-        """Masses (n,) kg of the nodes; those that are held count as infinite."""
+        """Masses (n,) kg of the nodes; infinite for fixed nodes."""
         self.mass = self.mesh.node_volume * self.laws["rho"][self.metals.of_node]
         if self.least_mass > 0.0:
             surface = occurring(self.mesh.facets, len(self.mass))
@@ -213,11 +213,11 @@ class Target:
 
     @property
     def most_nodes(self) -> int:
-        """How many nodes are ever active within the window."""
+        """Largest number of active nodes within the window."""
         return self._active_counts(np.inf)[0]
 
     def active_after(self, time: float) -> int:
-        """How many nodes are active at the end of the next `time` s."""
+        """Number of nodes that the wave front has reached (active nodes) after `time` s more."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
@@ -327,7 +327,7 @@ class Target:
         return self.impulse + 0.5 * self.dt_last * self.support
 
     def state(self) -> TargetState:
-        """Everything that makes the target go on as if nothing had happened. The mesh is not in it."""
+        """State from which the target continues with the same numbers. The mesh is not part of it."""
         nodes, elements = copied(self.nodes), copied(self.elements)
         return collect(
             TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state(),
@@ -361,7 +361,7 @@ class Target:
             self._highest.restore(state.highest)
 
     def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
-        """Begin with the state of nodes and elements (`target.domain`), the ledger going on from that of `before`."""
+        """Start from the state of nodes and elements (`target.domain`); the ledger continues from the ledger of `before`."""
         self.nodes, self.elements = nodes, elements
         self.sums, self.impulse = before.sums.copy(), before.impulse.copy()
         self.internal_work, self.absorbed = before.internal_work, before.absorbed
@@ -369,7 +369,7 @@ class Target:
         self._store_inactive_forces()
 
     def rest(self) -> float:
-        """Take all velocity away; returns the kinetic energy that was there, J."""
+        """Set all velocities to zero; returns the kinetic energy before, J."""
         kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.nodes.v, self.nodes.v))
         self.impulse = self.external_impulse() - self.mass @ self.nodes.v  # what stopped it came from outside
         self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
@@ -386,7 +386,7 @@ class Target:
         self._activate(0.0)
 
     def deactivate_beyond(self, reach: float) -> None:
-        """Make all inactive that is farther than `reach` m from the point of impact: it must be at rest, in equilibrium."""
+        """Deactivate all nodes and elements farther than `reach` m from the impact point: they must be in equilibrium, at rest."""
         self._store_inactive_forces()
         self.reach, self.limit, self.active_nodes, self.active_elements = reach, np.inf, 0, 0
         self._activate(0.0)

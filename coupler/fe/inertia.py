@@ -49,12 +49,12 @@ class ElementInertia:
         self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are not held
 
     def state(self) -> InertiaState:
-        """What the next step needs: elements are chosen anew before it."""
+        """State for the next step: elements are chosen again before it."""
         return InertiaState(self.most, self._last.copy(), self.taken.copy())
 
     def restore(self, state: InertiaState) -> None:
-        """Put a `state` into the inertia of the same target; elements are chosen before the next step. Raises CheckpointError where it
-        does not fit itself."""
+        """Put a `state` into the inertia of the same target; elements are chosen before the next step. Raises CheckpointError where its
+        arrays do not fit each other."""
         if len(state.taken) != len(state.nodes):
             raise CheckpointError("a state does not fit: the forces of scaled elements are those of other nodes")
         self.most, self._last, self.taken = state.most, state.nodes.copy(), state.taken.copy()

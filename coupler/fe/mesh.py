@@ -16,7 +16,7 @@ from .state import ElementState, NodeState
 
 @dataclass(frozen=True)
 class TetMesh:
-    """What the explicit solver needs of a mesh, numbered outwards from the point of impact.
+    """Mesh data of the explicit solver, numbered outwards from the point of impact.
 
     points (n,3) m; conn (m,4); B (m,3,3) reference gradients of nodes 1 to 3; V0 (m,) m3; node_volume (n,) m3, the
     lumped share of each node; facets (k,3) boundary triangles, normals outwards; facet_element (k,); sets: facet
@@ -38,7 +38,7 @@ class TetMesh:
 
 
 class FiniteElements(Protocol):
-    """What the parts of a target see of it; `fe.explicit.Target` says what each array is."""
+    """The interface of a target for its parts; `fe.explicit.Target` describes each array."""
 
     mesh: TetMesh
     laws: np.ndarray
@@ -123,7 +123,7 @@ def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]
 
 
 def inverted(t: FiniteElements) -> str:
-    """What is said of the most inverted element of a target."""
+    """Error message about the most inverted element of a target."""
     e = int(np.argmin(t.elements.volume[: t.active_elements]))
     x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
     body = int(t.law_of[e])  # each has a law of its own; those after the first are splats

@@ -53,7 +53,7 @@ class Nodes(NamedTuple):
 
     @classmethod
     def of(cls, n: NodeState, f_ext: Floats, inv_mass: Floats) -> "Nodes":
-        """Those of a state, with these forces and masses."""
+        """The arrays of a node state, with these forces and masses."""
         return cls(n.x, n.v, n.f, f_ext, n.total, inv_mass, n.J, n.p, n.energy)
 
 
@@ -73,5 +73,5 @@ class Elements(NamedTuple):
 
     @classmethod
     def of(cls, e: ElementState) -> "Elements":
-        """Those of a state."""
+        """The arrays of an element state."""
         return cls(e.volume, e.s, e.sigma_y, e.eps_p, e.rate, e.T, e.heat, e.fe, e.eps_gradient)

@@ -67,7 +67,7 @@ class Relaxation:
             t.support -= motion.sum_at(self.fixed, t.nodes.total)
 
     def rest(self) -> None:
-        """Take all velocity away."""
+        """Set all velocities to zero."""
         t = self.target
         t.impulse = t.impulse + 0.5 * self.dt * t.support - self.mass @ t.nodes.v  # what stopped it came from outside
         t.nodes.v[:], t.support = 0.0, np.zeros(3)

@@ -1,4 +1,4 @@
-"""The state of the target as records: a field more here is kept, restored, renumbered and joined."""
+"""The state of the target as records: a further field here is stored, restored, renumbered and joined."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,9 +11,9 @@ from ..physics.metal import MetalState
 
 @dataclass(frozen=True)
 class NodeState:
-    """Of n nodes: x m, v m/s at half a step before, f and f_old internal forces of this and the last step N, total N: with all other
-    forces; J: volume ratio, p Pa, energy J per reference m3; node_number: in the bodies that these
-    were cut from, -1 of new ones."""
+    """State of n nodes: x m, v m/s half a step before, f and f_old internal forces of this and the last step N, total N: with all other
+    forces; J: volume ratio, p Pa, energy J per reference m3; node_number: in the full
+    domain of a sub-domain, -1 of new nodes."""
 
     x: Annotated[np.ndarray, Rows(3)]
     v: Annotated[np.ndarray, Rows(3)]
@@ -28,7 +28,7 @@ class NodeState:
 
 @dataclass(frozen=True)
 class ElementState(MetalState):
-    """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; rate 1/s, of eps_p; heat J, to go to the nodes in the next
+    """State of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; rate 1/s, of eps_p; heat J, to go to the nodes in the next
     step; volume m3; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that changes of
     temperature at rest have made; element_number: as node_number."""
 
@@ -44,7 +44,7 @@ class ElementState(MetalState):
 
 @dataclass(frozen=True)
 class EdgeState:
-    """Of an elastic edge (`fe.window.Edge`): origin (3,) m and where its nodes are at rest, (k,3) m."""
+    """State of an elastic boundary (`fe.window.Edge`): origin (3,) m; rest (k,3) m: rest positions of its nodes."""
 
     origin: Annotated[np.ndarray, Shape(3)]
     rest: Annotated[np.ndarray, Shape(-1, 3)]

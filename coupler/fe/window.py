@@ -41,7 +41,7 @@ class Edge:
     A viscous-spring boundary (Deeks & Randolph 1994, J. Eng. Mech. 120, 25; Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93): on each
     area of a sphere of radius R stiffness NORMAL G / R along the radius and half of that across it, damping rho c_p and rho c_s. nodes
     (k,); rest (k,3) m: where they are at rest; origin (3,) m; stiffness (k,3,3) N/m; damping (k,3,3) kg/s;
-    load (k,3) N: force of what lies beyond, at rest.
+    load (k,3) N: static force of the elements beyond.
     """
 
     nodes: np.ndarray
@@ -83,13 +83,13 @@ class Edge:
         return cls(nodes, x[nodes], spring, dashpot, np.zeros((len(nodes), 3)), origin).loaded(t, elements)
 
     def loaded(self, t: FiniteElements, elements: int) -> "Edge":
-        """The same with the forces of what lies beyond the first `elements` now."""
+        """The same edge with the present forces of the elements beyond the first `elements`."""
         load = np.zeros((len(t.nodes.x), 3))
         np.add.at(load, t.mesh.conn[elements:].ravel(), t.elements.fe[elements:].reshape(-1, 3))
         return replace(self, load=load[self.nodes])
 
     def state(self) -> EdgeState:
-        """That from which `of` makes the same edge again."""
+        """State from which `of` makes the same edge again."""
         return EdgeState(self.origin, self.rest)
 
     def pull(self, x: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ class Edge:
         return -np.einsum("aij,aj->ai", self.stiffness, x[self.nodes] - self.rest)
 
     def energy(self, x: np.ndarray) -> float:
-        """What the springs hold, less the work of what lies beyond at rest, J."""
+        """Energy of the springs less the work of the static forces beyond the edge, J."""
         u = x[self.nodes] - self.rest
         return float(0.5 * np.einsum("ai,aij,aj->", u, self.stiffness, u) - np.einsum("ai,ai->", self.load, u))
 
