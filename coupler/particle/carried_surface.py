@@ -59,7 +59,7 @@ class CarriedSurface:
 
     @cached_property
     def neighbours(self) -> csr_matrix:
-        """1 for each two vertices (k,k) that share a triangle."""
+        """Adjacency matrix (k,k): 1 for two vertices that share a triangle."""
         vertices = self.weights.shape[0]
         start, ring = rings(self.triangles, np.arange(vertices))
         return csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
@@ -91,12 +91,12 @@ class CarriedSurface:
         return out
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Values (k+n,) of `contacts`, such as forces, as (k,) of the vertices: each with its share of those of the points under it."""
+        """Values (k+n,) of `contacts`, such as forces, as (k,) at the vertices: each with its share of the values at points under it."""
         vertices = len(self.weights.indptr) - 1
         return values[:vertices] + self.under @ values[vertices:]
 
     def support(self, rows: np.ndarray) -> np.ndarray:
-        """The points (p,), ascending, that these rows of `contacts` are made of and their forces go back to."""
+        """The points (p,), ascending, that these rows of `contacts` depend on and that receive their forces."""
         used = np.zeros(self.touching.shape[1], bool)
         start = self.touching.indptr
         counts = start[rows + 1] - start[rows]

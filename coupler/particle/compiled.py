@@ -109,7 +109,7 @@ class CompiledParticle(Particle):
         return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
-        """Which rows go to which rank between the passes, and which come from there."""
+        """List the rows that are sent to and received from each rank between the passes."""
         self._sends: RowsOfRanks = []
         self._receives: RowsOfRanks = []
         if self.comm.size == 1:
@@ -208,7 +208,7 @@ class CompiledParticle(Particle):
         self._losses.strength[lo:hi], self._losses.work[lo:hi] = 0.0, 0.0
 
     def _skip_step(self) -> None:
-        """Exchange what pass 2 needs of points of other ranks."""
+        """Exchange the data of other ranks' points that pass 2 needs."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
 

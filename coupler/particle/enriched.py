@@ -132,7 +132,7 @@ class EnrichedParticle(CompiledParticle):
     def stable_dt(self) -> float:
         """Largest stable time step in s, by the highest frequency of the points (`particle.frequency`).
 
-        Raises SolverError as that of the other schemes does.
+        Raises SolverError as in the other schemes.
         """
         # of all ranks together, before one of them raises
         if self.numerics.inertia > 0.0:

@@ -171,7 +171,7 @@ class Particle(ABC):
                 if not str(problem).startswith("ERROR"):  # all of LAMMPS's do, and have no class of their own
                     raise
                 text = str(problem).splitlines()[0]
-                raise SolverError(f"LAMMPS cannot build this particle ({text}): try fewer points") from problem
+                raise SolverError(f"LAMMPS cannot create this particle ({text}): try fewer points") from problem
 
     def _own(self, temperature: float) -> None:
         """State of the points of this rank at the start."""

