@@ -28,8 +28,8 @@ class NodeState:
 
 @dataclass(frozen=True)
 class ElementState(MetalState):
-    """State of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; rate 1/s, of eps_p; heat J, to go to the nodes in the next
-    step; volume m3; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that changes of
+    """State of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; rate 1/s, of eps_p; heat J, for the nodes in the
+    next step; volume m3; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that changes of
     temperature at rest have made; element_number: as node_number."""
 
     s: Annotated[np.ndarray, Rows(6)]
