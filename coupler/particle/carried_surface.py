@@ -91,7 +91,7 @@ class CarriedSurface:
         return out
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Values (k+n,) of `contacts`, such as forces, as (k,) at the vertices: each with its share of the values at points under it."""
+        """Values (k+n,) of `contacts`, such as forces, as (k,) at the vertices: each with its share of the values at points below."""
         vertices = len(self.weights.indptr) - 1
         return values[:vertices] + self.under @ values[vertices:]
 
