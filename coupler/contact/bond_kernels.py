@@ -12,17 +12,17 @@ from .closest import closest_on_triangle
 
 
 class Ties(NamedTuple):
-    """Bonds of points to places on triangles of nodes, row by row as in `bond.Bond`; weakness (n,2): 1/strength, 1/Pa; ease (n,2):
-    1/energy, m2/J; alpha: exponent of the power law of mixed modes.
+    """Bonds between points and points on triangles, one row per bond as in `bond.Bond`. Columns: normal, shear. weakness (n,2): 1 /
+    strength, 1/Pa; ease (n,2): 1 / fracture energy, m2/J; alpha: exponent of the power law of mixed modes.
 
-    gap: distance of the point above its place, along the triangle's normal n, at which the bond is at rest. With d from the place to
-    the point, the potential is
+    gap: distance of the point above the triangle, along its normal n, at which the bond has no force. With k the stiffness, Pa/m, and d
+    from the bond's point on the triangle to the other point, the potential is
 
         U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
 
-    and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment of forces which act
-    across a gap. Where a bond yields, what becomes permanent of delta is added to gap, and of s to the place: unloading is elastic, to
-    a residual opening. opening: <delta> n + s, elastic.
+    and the forces are its gradient, including the term of n: this term gives the couple that balances the moment of the forces across
+    the gap. Where a bond yields, the permanent part of delta is added to gap, and that part of s moves the point on the triangle:
+    unloading is elastic, to a residual opening. opening: elastic, max(delta, 0) n + s.
     """
 
     nodes: Ints
