@@ -192,7 +192,7 @@ class Bond:
         return energy
 
     def compression(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """How far (k,) m the nodes of bonds `rows` (k,) are below the height at which they are at rest, negative above. x (N,3) m."""
+        """Depth (k,) m of the nodes of bonds `rows` (k,) below their rest height, negative above. x (N,3) m."""
         return np.asarray(self.gap[rows] - _foot(x[self.nodes[rows]], x[self.triangles[rows]])[1])
 
     def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:
@@ -219,7 +219,7 @@ class Bond:
         self.stiffness[rows] *= factors
 
     def reduce_overlap(self, share: float) -> None:
-        """Leave this share of the depths at which the bonds that were moved are at rest behind their triangles."""
+        """Reduce the rest depths of bonds that `move` left behind their triangles to this share of them."""
         self.gap[self._moved] *= share
         if share == 0.0:
             self._moved = self._moved[:0]

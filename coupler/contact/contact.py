@@ -22,8 +22,8 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 @dataclass(frozen=True)
 class ContactState:
     """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet given away; friction_heat: all so far, J;
-    dropped: points that have lost their contact as too deep so far, dropped_energy: what the springs of these held, and of those whose
-    depth has jumped, J."""
+    dropped: points that have lost their contact as too deep so far, dropped_energy: energy of their springs, and of springs of
+    points whose depth has jumped, J."""
 
     friction_heat: float
     dropped: int
@@ -35,10 +35,10 @@ class ContactState:
 
 @dataclass
 class _Search:
-    """What the last search of one body's points rests on.
+    """Data of the last search of one body's points.
 
-    reach m: so far points and faces may move against each other until it no longer holds; known (k,): which of the faces that the body
-    may ever meet were near; nodes: of these faces; places, points: where these nodes and the body's points were, m.
+    reach m: distance that points and faces may move relative to each other while it is valid; known (k,): mask of near faces among
+    `facing` of the body; nodes: of these faces; places, points: positions of these nodes and of the body's points, m.
     """
 
     known: np.ndarray
@@ -113,19 +113,19 @@ class Contact:
         return collect(ContactState, self)
 
     def restore(self, state: ContactState) -> None:
-        """Put a `state` into a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
+        """Put a `state` into a contact of the same surfaces; call `search` next. Raises CheckpointError where it does not fit."""
         if len(state.history) != len(self.history) or len(state.heat_face) != len(self.faces):
             raise CheckpointError("a state does not fit: the contact has other surfaces")
         assign(self, state)
         self.expire(np.ones(len(self.history), bool))
 
     def expire(self, which: np.ndarray) -> None:
-        """Let the next search look again at the bodies that have points of a mask (n,)."""
+        """Make the next search include all bodies that own points of a mask (n,)."""
         for body in np.unique(self.points.owner[which]):
             self._searches[body].reach = -np.inf
 
     def forget(self, which: np.ndarray) -> None:
-        """Let the points of a mask (n,) begin anew: bonds have taken them, or let go of them."""
+        """Delete the contact history of the points of a mask (n,): a bond has begun or ended to resist their compression."""
         self.history[which] = new_history(1)
         self.expire(which)
 
@@ -302,7 +302,7 @@ class Contact:
         k.scatter(self.rows, self.points, nodes)
 
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
-        """Which of the first so many points touch in this step (k,), and the facet that each is on (k,).
+        """Indices (k,) of those of the `first` points that touch in this step, and the facet under each (k,).
 
         within: m; points nearer than this count as touching, because a touching point can lose its contact for single steps.
         """

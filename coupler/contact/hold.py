@@ -59,8 +59,8 @@ class Hold:
     def forces(
         self, xp: Floats, x: Floats, f_point: Floats, f_node: Floats, contact: Contact | None = None
     ) -> None:  # fmt: skip
-        """Add the forces of this instant to f_point (like xp) and f_node (like x), N; damage moves on. contact: between the points
-        and the target, of this instant (default: there is none)."""
+        """Add the forces of this instant to f_point (like xp) and f_node (like x), N; update the damage. contact: between points and
+        target, of this instant (default: none)."""
         depth = np.full(len(self.rows), -1.0)
         if contact is not None:
             in_contact(

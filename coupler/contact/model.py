@@ -40,7 +40,7 @@ class Points(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Of the faces: positions x m, velocities v m/s, forces f N (N,3). Only the first `active` nodes move."""
+    """Arrays of the faces' nodes: positions x m, velocities v m/s, forces f N (N,3). Only the first `active` nodes move."""
 
     x: Floats
     v: Floats
@@ -83,5 +83,5 @@ class Motion(NamedTuple):
 
 
 def motion(nodes: Ints, bounds: Ints, x: Floats) -> Motion:
-    """Of nodes that are now at x (N,3) m."""
+    """The motion record of nodes whose positions are now x (N,3) m."""
     return Motion(nodes, bounds, x[nodes], np.zeros(len(bounds) - 1))

@@ -23,13 +23,13 @@ class Surfaces:
 
     @classmethod
     def of(cls, facets: np.ndarray, facet_element: np.ndarray, body_of_element: np.ndarray) -> "Surfaces":
-        """From a joined mesh: its facets (k,3), facet_element (k,), and the body (m,) of each element."""
+        """The surfaces of a joined mesh: its facets (k,3), facet_element (k,), and the body (m,) of each element."""
         body = np.asarray(body_of_element)[facet_element]
         return cls(np.ascontiguousarray(facets, np.int64), body.astype(np.int64), np.asarray(facet_element, np.int64))
 
     @cached_property
     def bodies(self) -> int:
-        """How many bodies there are."""
+        """Number of bodies."""
         return int(self.body.max()) + 1
 
     @cached_property
@@ -55,7 +55,7 @@ class Surfaces:
 
     @cached_property
     def body_of_node(self) -> np.ndarray:
-        """Whose each node is (n,), up to the last one of a surface; -1 of those inside."""
+        """Body of each node (n,), up to the last node of a surface; -1 of inner nodes."""
         owner = np.full(self._nodes, -1)
         owner[self.facets] = self.body[:, None]
         return owner
@@ -84,7 +84,7 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Interface:
-    """Where surface nodes of one body lie on facets of others.
+    """Pairs of surface nodes of one body and the facets of others that they lie on.
 
     nodes (n,); facet (n,): ids in `Surfaces`; weights (n,3): of the facet's closest point, within it; gap (n,) m: signed
     distance to it; area (n,) m2: what each node stands for, a third of each of its facets that lie on the others with
@@ -131,8 +131,8 @@ def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tu
 def earlier_neighbours(
     surfaces: Surfaces, x: np.ndarray, reach: float, among: np.ndarray | None = None
 ) -> list[tuple[int, ...]]:
-    """Of each body, those before it whose boxes come within `reach` m of its own: the others cannot lie on it. x (N,3) m; among:
-    mask (bodies,) of those that count, all without it."""
+    """For each body, the earlier bodies whose boxes come within `reach` m of its own: others cannot lie on it. x (N,3) m; among: mask
+    (bodies,) of the bodies to consider, default all."""
     boxes, counts = surfaces.boxes(x), np.ones(surfaces.bodies, bool) if among is None else among
     return [
         tuple(b for b in neighbours(*boxes, body, reach) if b < body and counts[b]) if counts[body] else ()
