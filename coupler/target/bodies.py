@@ -85,7 +85,7 @@ class Bodies:
 
     @property
     def count(self) -> int:
-        """How many bodies there are, the substrate among them."""
+        """Number of bodies, the substrate included."""
         return len(self.target.laws)
 
     @property
@@ -280,8 +280,8 @@ class Bodies:
         return self.on(domain, rank, self.buried)
 
     def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
-        """The same bodies, with their bonds and contact, on another domain, whose node rank[i] is node i of theirs, -1 where it is
-        gone. buried: its facets that nothing can reach. The bond of these is renumbered."""
+        """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 of a removed node;
+        buried: facets of the new domain that nothing can reach. The bond of these bodies is renumbered."""
         new = self.remade(domain)
         if self.bond is not None:
             self.bond.renumber(rank)

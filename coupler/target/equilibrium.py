@@ -73,11 +73,11 @@ def settle(
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
-    kinetic_0: J of the impacts before, by which what is left is judged; release_time: s of real motion in which is measured what is set
-    free after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
-    numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
+    kinetic_0: J of the impacts before, the scale of the remaining energy; release_time: s of real motion, in which the energy released
+    afterwards is measured; ramp: the target's pending heat becomes pressure gradually, as in slow cooling. radius: m from the start
+    of the numbering, beyond which no node moves, unless this holds more than LOCAL of the elements; pending heat becomes pressure
     there too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m
-    they are moved meanwhile.
+    they are moved in this time.
     This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
