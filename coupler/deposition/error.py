@@ -66,7 +66,7 @@ class Companions:
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
     def all(self, threads: int) -> dict[int, Summary | str]:
-        """Points of each coarser run -> its summary, or why there is none."""
+        """Points of each coarser run -> its summary, or the reason why it has none."""
         scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name) if self.plan.companions else None
         return {n: self._one(scene, n, threads) for n in self.plan.companions if scene is not None}
 
@@ -95,7 +95,7 @@ def _in_own_process(companions: Companions, parent: int) -> None:
 
 
 def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
-    """Put into a summary the errors that follow from those of coarser runs (points -> summary, or why there is none), the finer first:
+    """Put into a summary the errors that follow from coarser runs (points -> summary, or the reason why none), the finer first:
     `errors` of each impact, `error` of the run, and a warning where a verdict depends on the resolution."""
     whole = [found for found in coarser.values() if not isinstance(found, str)]
     whole = [found for found in whole if len(found["impacts"]) == len(summary["impacts"])]
@@ -114,8 +114,8 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
-    """Measure -> half_width, its error in its own unit; order, that the error is extrapolated with; coarser: the values that it follows
-    from. levels: the measures of an impact, those of the run itself first, each level coarser than the one before."""
+    """Measure -> half_width, its error in its own unit; order of the extrapolation; coarser: values of the coarser runs. levels: the
+    measures of an impact, of the run itself first, each level coarser than the one before."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

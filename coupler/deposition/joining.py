@@ -33,9 +33,9 @@ RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy
 
 
 def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point) -> tuple[Bodies, Values]:
-    """The bodies after an impact on a cut of the target, with its splat, at rest within its window; and what it took to make them.
+    """The bodies after an impact on a cut of the target, with its splat, at rest within its window; and a report.
 
-    outcome: of impact i; place: where it came (m), from which the bodies are numbered. A particle that has rebounded does not join.
+    outcome: of impact i; place: impact point (m), from which the bodies are numbered. A particle that has rebounded does not join.
     Whether splats are held is known on the whole target only (`rest`). Raises SolverError when the particle cannot be meshed or does
     not come to rest.
     """
@@ -140,7 +140,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 
 def cloud_of(domains: Domains) -> Cloud:
-    """The points of an impact with all they carry and their surface, that of a cavity included (`splat.cloud.Cloud`)."""
+    """The points of an impact with their state and their surface, cavities included (`splat.cloud.Cloud`)."""
     particle, body = domains.particle, domains.body
     law, vertices, triangles = particle.law[0], domains.surface.positions(particle.x), domains.surface.triangles
     if body.inner is not None:

@@ -28,8 +28,8 @@ class _Written:
 
 
 class BatchReplay:
-    """What is written of the whole where the impacts of a batch are written one after another, each on the bodies as those before it
-    have left them. It may be written later: it does not follow what becomes of the bodies."""
+    """Files of a batch on the full domain: its impacts are written one after another, each with the bodies after the impact before.
+    They may be written later: the data do not change when the bodies change."""
 
     def __init__(self, before: Bodies, after: Bodies):
         """before, after: the bodies before and after the batch."""

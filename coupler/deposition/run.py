@@ -108,9 +108,9 @@ def resume(
     jobs: int = 1,
     error: bool = True,
 ) -> Result:
-    """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
+    """Continue the unfinished run in a folder from its last complete checkpoint, or from its start if there is none.
 
-    The number of ranks may differ from before. A finished run is returned as it is; an undecided one goes on: its
+    The number of ranks may differ from before. A finished run is returned as it is; an undecided one continues: its
     last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
     is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. error: measure it where the run
     was to. Arguments and errors as for `run`; raises CheckpointError for a checkpoint of another version or another scene, or where

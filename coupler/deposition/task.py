@@ -59,7 +59,7 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class TaskState:
-    """What a checkpoint of a task holds: the impact on its way, where it may go on; the result, once there is one."""
+    """Checkpoint of a task: the state of the running impact, if it can continue; the result, once the impact has ended."""
 
     running: RunningState | None
     store: StoreState
@@ -87,7 +87,7 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result that its files hold; an impact that has ended undecided goes on.
+    """Compute a task, or return the result in its files; an impact that has ended undecided continues.
 
     Raises what `run_impact` and `join` raise."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
