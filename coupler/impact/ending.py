@@ -128,8 +128,8 @@ class EndCriterion:
         return f"not {aim} at its time limit of {self.seen.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
-        """Let an impact that is at its end at `time` s go on until `until` s; without that, one that has not met its criterion goes on
-        for as long again as it has had, and one that has is over: its run was stopped later."""
+        """Continue an impact that has ended at `time` s until `until` s. Without `until`, an impact that has not met its criterion
+        continues for the same time again, and one that has met it is over: its run was stopped later."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
                 self.seen.end_time += time

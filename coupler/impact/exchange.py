@@ -58,8 +58,8 @@ class Impact:
     """One particle meeting one target, of one body or several.
 
     They touch where the particle's carried surface meets the target's facets. time s; force (3,) N on the particle; deepest:
-    largest penetration so far, m; limits: how many steps each of particle, target and contact has limited; hold: what has bonded of
-    the particle, or None; dt_factor: on the stable time step, below 1 after a retry.
+    largest penetration so far, m; limits: how many steps each of particle, target and contact has limited; hold: bonds of the
+    particle, or None; dt_factor: on the stable time step, below 1 after a retry.
     """
 
     def __init__(self, domains: Domains):

@@ -32,9 +32,9 @@ class _OwnContact(Contact):
 
 
 class Folding:
-    """Contact of all surfaces of a particle, that of a cavity among them, with each other and with themselves.
+    """Contact of all surfaces of a particle, cavities included, with each other and with themselves.
 
-    A vertex that lies behind a face since before it came near, as on the other side of a wall, has no contact with it
+    A vertex that was behind a face before it came near, as on the other side of a wall, has no contact with it
     (`contact.kernels.follow`).
     """
 

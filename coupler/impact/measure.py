@@ -52,8 +52,8 @@ def crater_depth(surface: np.ndarray) -> float:
 def plastic_zone(target: Target) -> tuple[float, float]:
     """Radius and depth (m) of the zone of the substrate that has yielded, by a plastic strain of YIELDED or more.
 
-    The radius is that of the circle whose area the yielded part of the surface fills, seen from above; the depth, below z = 0, that
-    of the lowest centroid of a yielded element 0 where nothing has yielded.
+    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of the lowest centroid of a yielded
+    element below z = 0; 0 if nothing has yielded.
     """
     mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]

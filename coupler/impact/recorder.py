@@ -69,8 +69,8 @@ class Recorder:
         self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
-        """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
-        where not their end alone is written."""
+        """Write the fields of the first instant, unless the restored files have them already: for the first impact, and for others if
+        not only their end is written."""
         if self.seen.next_output == 0.0:
             self.seen.met = impact.target.nodes.x[impact.surface_nodes, 2]
             self.seen.touched_at = float(impact.particle.x[:, 2].mean())
@@ -79,7 +79,7 @@ class Recorder:
             self.seen.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
-        """Write what is due after a chunk of steps of dt s, and everything after the last one.
+        """Write the outputs due after a chunk of steps of dt s, and all outputs after the last one.
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """

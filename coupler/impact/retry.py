@@ -48,7 +48,7 @@ class Retry:
 def next_retry(
     before: Sequence[Retry], requested: Mapping[str, float], error: SolverError, impact: int, time: float
 ) -> Retry:
-    """The retry that follows an error. before: those of the same impact so far; requested: numerics that the run was asked to change;
+    """The retry that follows an error. before: earlier retries of the same impact; requested: numerics that the user has set;
     time: s, of the error. Raises the error when no remedy is left."""
     if len(before) >= len(REMEDIES):
         raise error

@@ -82,12 +82,12 @@ def run_impact(
     save: Callable[[RunningState], None],
     resume_from: RunningState | None = None,
 ) -> ImpactOutcome:
-    """Impact i of a plan from its start, or from a state on its way, to its end.
+    """Compute impact i of a plan from its start, or from a stored state, to its end.
 
-    bodies, written: what it meets, and how much of each file is written then, None where they begin with it; before: simulated time (s)
-    of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
+    bodies, written: the target before it, and the amount written to each file then, None if the files begin with it; before: simulated
+    time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
     impact is computed again from its start with the next remedy (`impact.retry`). An impact that has not met its end criterion at its
-    time limit is undecided: it writes a checkpoint, and goes on when it is resumed from it; so does one whose verdict is undecided.
+    time limit is undecided: it writes a checkpoint, and continues when it is resumed from it; so does one whose verdict is undecided.
     Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
     """
     retries: list[Retry] = []

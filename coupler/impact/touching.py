@@ -41,7 +41,7 @@ class Touching:
 
     @property
     def pressed(self) -> np.ndarray:
-        """Which of `rows` (k,) bool press on the target or have a neighbour that does, by themselves or the points under them."""
+        """Mask (k,) of `rows`: vertices that press on the target, directly or by the points under them, or have such a neighbour."""
         pressing, triangles = self.force > 0.0, self._domains.surface.triangles
         beside = np.zeros(len(pressing), bool)
         beside[triangles[pressing[triangles].any(axis=1)]] = True

@@ -94,7 +94,7 @@ def merged(texts: list[str]) -> list[str]:
     """The warnings of a whole run: of those that several impacts or bodies share but for the numbers the one with the largest, and
     where else.
 
-    Of an impact is what begins with "impact N: "; all else stays as it is, once.
+    Warnings of an impact begin with "impact N: "; all others are kept unchanged, once.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):
