@@ -138,7 +138,7 @@ EFFECTS = (
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision about one effect. number: what its value is, in words; on: whether it takes part, and why."""
+    """The decision about one effect. number: name of its value; on: whether the effect takes part; why: the reason."""
 
     name: str
     number: str
