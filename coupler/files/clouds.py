@@ -36,7 +36,7 @@ SURFACE = (
 
 @dataclass(frozen=True)
 class Points:
-    """x (n,3) and fields, as the file has them; units: those it gives, of "x" and of fields; notes: remarks on what is uncertain."""
+    """x (n,3) and fields, as in the file; units: of "x" and of fields, if the file names them; notes: remarks on uncertain points."""
 
     x: NDArray
     fields: dict[str, NDArray]

@@ -47,7 +47,7 @@ class InputError(StoreError):
 
 
 class LimitError(StoreError):
-    """Not enough memory, address space or file descriptors for what is asked for."""
+    """Not enough memory, address space or file descriptors for a request."""
 
 
 def check_regular(path: str | Path) -> int:

@@ -48,7 +48,7 @@ def command() -> str:
 
 
 def processor() -> str:
-    """The processor's own name, "" where the system does not tell."""
+    """The processor's own name, "" if the system does not report it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -41,7 +41,7 @@ SUMMARY, PICTURE = "summary.json", "section.png"
 
 @dataclass(frozen=True)
 class StoreState:
-    """How much of each file is written. steps: of each domain's fields; columns and history (rows, columns): of history.csv."""
+    """Amount of data written to each file. steps: of each domain's fields; columns and history (rows, columns): of history.csv."""
 
     steps: dict[str, int]
     columns: list[str]

@@ -60,7 +60,7 @@ def problem_of(data: Mapping[str, object]) -> str | None:
 
 
 def impact_values(summary: Summary, i: int = -1) -> Values:
-    """Impact i in one table: the measures of its end and all else that its record says, but for its other states."""
+    """Impact i in one table: the measures at its end and all other keys of its record, except the measures of other states."""
     impact = summary["impacts"][i]
     return impact["end"] | {key: value for key, value in impact.items() if key not in ("greatest", "end", "at_end")}
 

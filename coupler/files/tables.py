@@ -18,7 +18,7 @@ _COUNTED = 10  # rows from which on a column that counts them is read as their n
 
 @dataclass(frozen=True)
 class Table:
-    """columns: (n,) each by name, without those of words; units: by name, where the names have one; notes: remarks on the uncertain.
+    """columns: (n,) each by name, without columns of words; units: by name, if the names have one; notes: remarks on uncertain points.
 
     Without names of columns the first three are x, y and z.
     """

@@ -98,7 +98,7 @@ class VtkHdfWriter:
 
     @property
     def steps(self) -> int:
-        """How many steps the file holds."""
+        """Number of steps in the file."""
         return self._state.steps
 
     def close(self) -> None:
