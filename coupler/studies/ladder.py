@@ -133,7 +133,7 @@ def compute_missing(
 ) -> StudyTable:
     """Compute the points of the ladder that the table lacks. say(text): called with a line about each; quiet: no progress bars.
 
-    A run that was stopped by Ctrl-C goes on from its checkpoint. A setting that fails, or that finished only after a retry with
+    A run that was stopped by Ctrl-C continues from its checkpoint. A setting that fails, or that finished only after a retry with
     other numerics, is a row with its reason and no measures.
     """
     missing = [point for point in ladder if point.key not in table]

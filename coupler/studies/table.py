@@ -55,7 +55,7 @@ def other_version(row: Mapping[str, str]) -> str:
 
 
 def cell(value: object) -> str:
-    """A value as it stands in a table: six digits of a float, nothing for None."""
+    """Text of a value in a table: six digits of a float, empty for None."""
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
