@@ -180,7 +180,7 @@ def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
 
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
-    """One line. Seven digits are more than a screen shows; what is not a number is a gap."""
+    """One curve, with seven digits, more than a screen shows; a value that is not a number is a gap."""
     places = {
         key: [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
         for key, values in (("x", x), ("y", y))

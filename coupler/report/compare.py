@@ -30,7 +30,7 @@ CURVES = (
 
 
 def names_of(results: Sequence[Result]) -> list[str]:
-    """A short name for each run: the last parts of its folder that tell it from the others."""
+    """A short name for each run: the last parts of its folder's path that differ from the others."""
     folders = [result.directory.resolve().parts for result in results]
     longest = max(len(folder) for folder in folders)
     for length in range(1, longest):

@@ -41,12 +41,12 @@ class Page:
         self.solid: dict[str, object] | None = None
 
     def section(self, name: str, heading: str, body: str) -> None:
-        """A section, unless there is nothing to say in it."""
+        """Add a section, unless its body is empty."""
         if body:
             self.sections.append((name, heading, body))
 
     def chart(self, name: str, figure: charts.Figure | None, heading: str = "") -> str:
-        """The place of a curve in the page; nothing if there is none."""
+        """HTML element for a curve; "" without a figure."""
         if figure is None:
             return ""
         self.charts[name] = figure
@@ -160,7 +160,7 @@ def picks(result: Result, most: int = PICTURES) -> list[int]:
 
 
 def embedded(figure: Figure) -> str:
-    """A figure of matplotlib as an address that holds the picture itself."""
+    """A figure of matplotlib as a data URL that contains the picture."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

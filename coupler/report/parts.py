@@ -136,7 +136,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 
 def scene_of(result: Result) -> Values:
-    """The scene as nested dicts of its own words; empty if there is none that can be read."""
+    """The scene as nested dicts of its texts; empty if it cannot be read."""
     try:
         return parse_toml(result.scene_text)
     except (StoreError, ValueError):
@@ -194,7 +194,7 @@ def _resolution(plan: Values, summary: Summary) -> list[str]:
 
 
 def definitions(lines: Iterable[tuple[str, str]]) -> str:
-    """A list of words with what they stand for."""
+    """A list of terms with their definitions."""
     return f"<dl>{''.join(f'<dt>{escape(word)}</dt><dd>{escape(text)}</dd>' for word, text in lines if text)}</dl>"
 
 

@@ -54,7 +54,7 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class Stage:
-    """Where all cuts of a run are made, from its first step: plane y (m); level of the undeformed surface and the
+    """Position of all cuts of a run, from its first step: plane y (m); level of the undeformed surface and the
     particle's diameter (um); void (m): a place in the particle that has no point so near is hollow."""
 
     plane: float
@@ -180,8 +180,8 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
 
 
 def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Where the plane cuts the surfaces of substrate and splats, (r, 2, 2) um, and which lines (r,) are the substrate's, if there are
-    splats."""
+    """Lines (r, 2, 2) um in which the plane cuts the surfaces of substrate and splats, and a mask (r,) of the substrate's lines, if
+    there are splats."""
     skin, owner = boundary_faces(target.cells)
     body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
     parts = [

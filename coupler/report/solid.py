@@ -31,7 +31,7 @@ Mesh = tuple[NDArray, NDArray, dict[str, NDArray]]
 
 
 def frames(count: int) -> list[int]:
-    """Which of so many stored steps the slider shows: all, or FRAMES of them evenly spread from first to last."""
+    """Indices of the stored steps that the slider shows: all, or FRAMES of them evenly spread from first to last."""
     return sorted({round(step) for step in np.linspace(0, count - 1, min(count, FRAMES))})
 
 

@@ -142,10 +142,10 @@ def impacts(summary: Summary) -> list[Block]:
 
 
 def verdict(summary: Summary) -> list[str]:
-    """The verdict of a run, in lines; none without one.
+    """Lines with the verdict of a run; none without one.
 
-    Of one particle a line with what the verdict rests on. Of several how many stick, and which have come off later; then a line for
-    each, or beyond MOST_VERDICTS how many are decided by what, and the closest margin.
+    For one particle a line with the basis of the verdict. For several the number that stick and those that have come off later; then
+    a line for each, or beyond MOST_VERDICTS the number decided by each method, and the closest margin.
     """
     records = summary.get("impacts", [])
     counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
