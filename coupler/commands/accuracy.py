@@ -79,7 +79,7 @@ def here(recalibrate: bool = False) -> "Pace":
 
 
 def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
-    """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with what they rest on."""
+    """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with their sources."""
     from ..measures import CONVERGING, MEASURES
     from ..plan import refinement
     from ..plan.text import duration

@@ -62,7 +62,7 @@ def quantity(
 
 
 def add_command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command, what it runs and its line of help; returns what adds its arguments."""
+    """Add a command, its function and its line of help. Returns the function that adds its arguments."""
     parser = commands.add_parser(name, help=text)
     parser.set_defaults(command=run)
     return parser.add_argument
@@ -93,7 +93,7 @@ def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace],
 
 
 def scene_of(arguments: argparse.Namespace) -> "Scene":
-    """The scene of a command with what its options set. Raises SceneError with every problem of it, as for a file."""
+    """The scene of a command with the settings of its options. Raises SceneError with every problem of it, as for a file."""
     from ..plan.reading import Scene
 
     settings = list(arguments.settings)
@@ -180,7 +180,7 @@ def add_verbose(option: Option, text: str) -> None:
 
 @contextmanager
 def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
-    """Context that shows what is computed, and for how long. text: what; quiet: shows nothing."""
+    """Context that shows the present work and its duration. text: the work; quiet: shows nothing."""
     from ..progress import Progress
 
     with Progress(quiet) as progress:
