@@ -51,7 +51,7 @@ class RaySurface:
         return distance * self.unit
 
     def inside(self, x: NDArray) -> NDArray[np.bool_]:
-        """Which places x (k,3) m lie inside a closed surface (k,)."""
+        """Mask (k,) of the points x (k,3) m inside the closed surface."""
         return self._scene.compute_occupancy(self._single(x), nthreads=1).numpy() > 0.5
 
     def windings(self, x: NDArray) -> NDArray[np.int64]:

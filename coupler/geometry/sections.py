@@ -62,7 +62,7 @@ def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray
 
 
 def crossing(points: NDArray, edges: NDArray, y: float) -> tuple[NDArray, NDArray]:
-    """Where edges (..., 2) between points on different sides meet the plane.
+    """Intersections of edges (..., 2) between points on different sides with the plane.
 
     Returns x and z, (..., 2), and the share of the edge up to there, (...).
     """

@@ -21,7 +21,7 @@ FRAGMENT = 0.01  # of the surface: smaller parts beside the body are left out
 
 @dataclass(frozen=True)
 class Solid:
-    """A body by its closed surface: points (n,3), triangles (m,3) outwards; centre of volume at the origin, volume that of a sphere
+    """A body by its closed surface: points (n,3), triangles (m,3) outwards; centre of volume at the origin, same volume as a sphere
     of diameter 1."""
 
     points: NDArray[np.float64]

@@ -21,7 +21,7 @@ def gradients(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
 
 
 def oriented(points: NDArray, tets: NDArray) -> NDArray:
-    """The tetrahedra with the last two corners of those of negative volume swapped, so that no volume is negative."""
+    """The tetrahedra with positive volumes: where a volume is negative, the last two corners are swapped."""
     return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)
 
 
