@@ -34,7 +34,7 @@ WHOLE = ("auto", "all", "none")
 
 
 def check_request(request: str | Sequence[str]) -> list[str]:
-    """Problems of what a scene says under `effects`; empty if it can be understood."""
+    """Problems of the key `effects` of a scene; empty if there are none."""
     if isinstance(request, str):
         return [] if request in WHOLE else [f"expected one of {', '.join(WHOLE)}, or a list of names"]
     problems, seen = [], set()

@@ -43,7 +43,7 @@ def scene_schema() -> dict[str, Any]:
 
 
 def words(key: str) -> str:
-    """What a key means, in Markdown; of a table with ".about": words("particle.gap"), words("gas.about"). "" where there are none."""
+    """Meaning of a key, in Markdown; of a table with ".about": words("particle.gap"), words("gas.about"). "" where there are none."""
     table, _, name = key.rpartition(".")
     return str((_words().get(table, {}) if table else _words()).get(name, ""))
 

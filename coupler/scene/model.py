@@ -68,13 +68,13 @@ class SceneData(tables.Section):
 
     @property
     def labels(self) -> list[str]:
-        """What messages call the particles: "particle" where there is one, else "particle[1]" and on."""
+        """Names of the particles in messages: "particle" for a single one, else "particle[1]" and so on."""
         n = len(self.particles)
         return ["particle"] if n == 1 else [f"particle[{i}]" for i in range(1, n + 1)]
 
 
 def particle_tables(raw: Mapping[str, object]) -> list[dict[str, object]]:
-    """The tables of the particles in a scene as nested dicts, one or several; what is no table is left out."""
+    """The tables of the particles in a scene as nested dicts, one or several; values of other types are left out."""
     particles = raw.get("particle")
     return [each for each in (particles if isinstance(particles, list) else [particles]) if isinstance(each, dict)]
 
