@@ -24,7 +24,7 @@ Drag = Callable[
 def henderson(Re: Numbers, M: Numbers, theta: Numbers, gamma: float) -> NDArray[np.float64]:
     """Drag coefficient of a sphere, from creeping to free-molecular flow, M < 6.
 
-    Re, M: of the relative motion; theta: temperature of the sphere over that of the gas. Henderson (1976), AIAA J. 14, 707.
+    Re, M: of the relative motion; theta: temperature of the sphere over the gas temperature. Henderson (1976), AIAA J. 14, 707.
     """
     slow, fast = _subsonic(Re, np.minimum(M, 1.0), theta, gamma), _supersonic(Re, np.maximum(M, 1.75), theta, gamma)
     return slow + np.clip(4 / 3 * (M - 1), 0.0, 1.0) * (fast - slow)

@@ -80,12 +80,12 @@ def pressure_ratio(M: float, gamma: float) -> float:
 
 
 def area_ratio(M: float, gamma: float) -> float:
-    """Area over that of the throat where the flow has Mach number M."""
+    """Area over the throat's area at which the flow has Mach number M."""
     return (2 / (gamma + 1) * temperature_ratio(M, gamma)) ** ((gamma + 1) / (2 * (gamma - 1))) / M
 
 
 def mach(ratio: float, gamma: float, supersonic: bool) -> float:
-    """Mach number where the area is `ratio` times that of the throat: the inverse of `area_ratio` on one of its branches.
+    """Mach number where the area is `ratio` times the throat's area: the inverse of `area_ratio` on one of its branches.
 
     ratio: at least 1. Raises ColdsprayError below. Newton's method on the root of log(area), which is nearly straight
     where the area itself has its minimum; it starts on the side from which it cannot overshoot.

@@ -58,7 +58,7 @@ class Nozzle:
         return (-self.converging, 0.0, self.diverging) + ((self.end,) if self.barrel else ())
 
     def area_ratio(self, x: float) -> float:
-        """Area at x (m from the throat) over that of the throat."""
+        """Area at x (m from the throat) over the throat's area."""
         if x < 0:
             d = self.throat + min(-x / self.converging, 1.0) * (self.inlet - self.throat)
         else:
