@@ -81,7 +81,7 @@ def without_interrupts() -> Iterator[None]:
 
 
 def end_with(parent: int) -> None:
-    """Let this process end with its parent, however that ends."""
+    """Make this process end when its parent ends, also after a crash of the parent."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -100,7 +100,7 @@ def arrays_of(record: object) -> dict[str, np.ndarray]:
 
 
 def copied(record: R) -> R:
-    """A copy of such a record: what is done to its arrays does not change the first."""
+    """A copy of a record with arrays of its own."""
     return replace(record, **{name: array.copy() for name, array in arrays_of(record).items()})  # type: ignore[type-var]
 
 
