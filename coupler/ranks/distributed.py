@@ -16,7 +16,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class ParticleState:
-    """whole: all points as one rank would have them, in the order they were given; totals: those of all ranks."""
+    """whole: all points as on a single rank, in the order they were given; totals: of all ranks."""
 
     whole: LocalState
     totals: PointTotals
@@ -117,7 +117,7 @@ class DistributedParticle:
         return self._stress
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal that goes on to a mesh of the points as they lie now, by name (`physics.metal`)."""
+        """State of the metal for a mesh of the points in their present positions, by name (`physics.metal`)."""
         parts: list[dict[str, np.ndarray]] = self.ask("carried")
         return {name: self._joined([part[name] for part in parts]) for name in parts[0]}
 
@@ -147,10 +147,10 @@ class DistributedParticle:
     def run(
         self, steps: int, dt: float, begin: Callable[[], None], meet: Callable[[], None], needed: np.ndarray | None
     ) -> None:
-        """Make `steps` steps of dt seconds. In each: begin(), which needs nothing of the particle; then x and v of the points `needed`
-        (k,) are those of n+1; meet() fills in f_ext.
+        """Make `steps` steps of dt seconds. In each: begin(), which needs no data of the particle; then x and v of the points `needed`
+        (k,) are updated to n+1; meet() fills in f_ext.
 
-        Raises what one of them or a rank raised; all ranks have then ended the chunk.
+        Raises the error of one of these functions or of a rank; all ranks have then ended the chunk.
         """
         self.dt, self.failure = dt, None
         if self._alone:
@@ -224,7 +224,7 @@ class DistributedParticle:
         return [seconds / loop for seconds in self._gathered(self.waited)]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
-        """Have every rank call a function of a module; what they returned, by rank."""
+        """Call a function of a module on every rank. Returns their results, by rank."""
         if self._alone:
             return [work()]
         self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)
@@ -232,6 +232,6 @@ class DistributedParticle:
         return gathered
 
     def close(self) -> None:
-        """Let this rank's LAMMPS go."""
+        """Close this rank's LAMMPS."""
         if self.local is not None:
             self.local.close()

@@ -29,7 +29,7 @@ _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which rank does what. comm: of all ranks; sph_comm: of those that share the particle, None on the others."""
+    """The roles of the ranks. comm: communicator of all ranks; sph_comm: of the ranks that share the particle, None on others."""
 
     rank: int = 0
     size: int = 1
@@ -80,7 +80,7 @@ class RemoteFailure(SolverError):
 
 
 def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str, float]) -> None:
-    """On the root rank: have the others build their parts of the particle of impact i, its centre at place (3,) m, too.
+    """On the root rank: make the others build their parts of the particle of impact i, its centre at place (3,) m.
 
     numerics: of `particle.particle.Numerics`, which a retry changes: all ranks compute by the same.
     """
@@ -90,7 +90,7 @@ def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str,
 
 @contextmanager
 def leading(ranks: Ranks) -> Iterator[None]:
-    """On the root rank: within it the others `serve`; at its end they are let go, with the error (if any) that ended the run.
+    """Context on the root rank in which the others `serve`; at its end they stop, with the error (if any) that ended the run.
 
     An error that is not of the program takes all ranks down.
     """
@@ -111,7 +111,7 @@ def leading(ranks: Ranks) -> Iterator[None]:
 
 
 def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
-    """What a rank without the target does: build its part of each particle and do as the root asks until it is dismissed.
+    """Main loop of a rank without the target: build its part of each particle and serve the root's requests until the end.
 
     build(i, place, numerics): this rank's part of the particle of impact i.
 
