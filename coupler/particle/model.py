@@ -83,15 +83,15 @@ class State(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """By viscosity and by hourglass control, (m,2): strength N/m of their forces over x_j - x_i, of the last step of the chunk, zero
-    before the first; work J that they have dissipated in the chunk."""
+    """Losses by viscosity and by hourglass control, (m,2): strength N/m of their forces over x_j - x_i, of the last step of the chunk,
+    zero before the first; work J that they have dissipated in the chunk."""
 
     strength: Floats
     work: Floats
 
 
 class Residuals(NamedTuple):
-    """Of sides: plastic (sides,3) m: e_p; force (sides and those of other ranks,3) N. unseen (n,) J/m3: their elastic energy."""
+    """Residuals of sides: plastic (sides,3) m: e_p; force (own and other ranks' sides,3) N. unseen (n,) J/m3: elastic energy."""
 
     plastic: Floats
     force: Floats

@@ -29,7 +29,7 @@ from .start import H, silence, start
 
 @dataclass(frozen=True)
 class Numerics:
-    """What the scheme adds to the physics.
+    """Parameters of the numerical scheme.
 
     kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
     and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
@@ -98,7 +98,7 @@ class LocalState:
 
 @dataclass(frozen=True)
 class PointTotals:
-    """What the ledger and the choice of dt need of points: dt s, their stable step; stretch_min; fastest m/s; energies J, of which
+    """Totals of points for the ledger and the choice of dt: dt s, their stable step; stretch_min; fastest m/s; energies J, of which
     viscosity and hourglass are losses, zero with an engine that does not measure them; momentum (3,) kg m/s."""
 
     dt: float
@@ -114,7 +114,7 @@ class PointTotals:
 
     @classmethod
     def over(cls, parts: "Sequence[PointTotals]") -> "PointTotals":
-        """Those of the points of all parts together."""
+        """Totals of the points of all parts together."""
         fold = {"dt": min, "stretch_min": min, "fastest": max}
         names = [f.name for f in fields(cls)]
         return cls(**{name: fold.get(name, sum)([vars(part)[name] for part in parts]) for name in names})
@@ -363,7 +363,7 @@ class Particle(ABC):
         return np.array(value) if isinstance(value, np.ndarray) else value
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal that goes on to a mesh of the points as they lie now, by name (`physics.metal`)."""
+        """State of the metal for a mesh of the points in their present positions, by name (`physics.metal`)."""
         return carried(self.points)
 
     def state(self) -> LocalState:
@@ -371,9 +371,9 @@ class Particle(ABC):
         return LocalState(copied(self.points), self.internal_work, self.time, self.steps, self.dt, self.sums.copy())
 
     def restore(self, state: LocalState, first: bool = True) -> None:
-        """Put a `state` of the whole particle (all points in the order given) into a fresh one; what adds up goes to the first rank.
+        """Put a `state` of the whole particle (all points in the order given) into a fresh one; sums go to the first rank.
 
-        Raises CheckpointError where it is that of another number of points or of another engine.
+        Raises CheckpointError for another number of points or another engine.
         """
         if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
             raise CheckpointError("a state does not fit: the particle has other points or another engine")
