@@ -165,8 +165,8 @@ class Target:
         self.inv_mass[self.fixed] = 0.0
 
     def weigh_surface(self, least: float, most: float) -> float:
-        """Let no node of the surface be lighter than `least` kg until the bodies rest again, or than what adding `most` kg in all
-        makes of the lightest; they must be at rest now, where this changes no energy and no momentum. Returns the mass added, kg."""
+        """Increase the masses of surface nodes to at least `least` kg until the bodies rest again, by at most `most` kg in total, the
+        lightest nodes first. The bodies must be at rest: energy and momentum do not change. Returns the mass added, kg."""
         self.least_mass = 0.0
         self._weigh()
         surface, before = self.mass[occurring(self.mesh.facets, len(self.mass))], float(self.mass.sum())
@@ -203,7 +203,7 @@ class Target:
 
     @property
     def undisturbed(self) -> float:
-        """Distance from the point of impact (m) up to which no window holds the target back."""
+        """Distance from the point of impact (m) up to which no window affects the target."""
         return (1.0 - (0.5 * LAYER if self.edge is not None else LAYER)) * self.horizon
 
     def _active_counts(self, reach: float) -> tuple[int, int]:

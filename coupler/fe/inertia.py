@@ -24,7 +24,7 @@ MOST = 150  # elements: the matrix of their nodes is inverted in each window
 
 @dataclass(frozen=True)
 class InertiaState:
-    """most kg: mass that may be added; nodes (k,) and taken (k,3) N: what it took from their forces in the last step."""
+    """most kg: mass that may be added; nodes (k,); taken (k,3) N: reduction of their forces in the last step."""
 
     most: float
     nodes: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]

@@ -30,7 +30,7 @@ class Metals(NamedTuple):
 
 
 class Active(NamedTuple):
-    """How many nodes get the forces of n, and how many nodes and elements are computed at n+1."""
+    """Numbers of nodes accelerated by the forces at step n, and of nodes and elements computed at step n+1."""
 
     kicked: int
     nodes: int
