@@ -38,11 +38,11 @@ class StoreError(ColdsprayError):
 
 
 class UnreadableError(StoreError):
-    """A file that is there and cannot be read, such as one without the permission: it may be whole."""
+    """A file that exists but cannot be read, such as one without permission: its content may be complete."""
 
 
 class CheckpointError(StoreError):
-    """A checkpoint from which a run cannot go on: says why, and what to do."""
+    """A checkpoint from which a run cannot continue: the message says why, and what to do."""
 
 
 class SplatError(ColdsprayError):
@@ -62,7 +62,7 @@ class WorkerError(ColdsprayError):
 
 
 class InterruptedRunError(ColdsprayError):
-    """A run of a study that was stopped from outside: it has no end, and the next attempt goes on with it."""
+    """A run of a study that was stopped from outside: it is not finished, and the next attempt continues it."""
 
     exit_code = 130
 
@@ -74,6 +74,6 @@ class NoContactError(ColdsprayError):
 
 
 class SolverError(ColdsprayError):
-    """A computation that broke down: says where, when, and what to try. What was written before stays readable."""
+    """A computation that failed: the message says where, when, and what to try. Files written before stay readable."""
 
     exit_code = 3

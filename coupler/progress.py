@@ -88,7 +88,7 @@ class Progress:
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
 
     def stage(self, text: str, of_impact: bool = True, done: float | None = None) -> None:
-        """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
+        """Begin work that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
         is begun again. of_impact: it belongs to the impact that was started last; done: part of the whole that lies before it."""
         again = self._stage is not None and self._stage[0] == text
         if not again:
@@ -151,9 +151,9 @@ class Progress:
         return f"{text}{_words(self.time_to_go(now))}"
 
     def time_to_go(self, now: float) -> float:
-        """Wall time that is left, s; nan as long as too little is done to tell. now: time.monotonic().
+        """Wall time that is left, s; nan while too little is done for an estimate. now: time.monotonic().
 
-        The pace is that of the time loops alone: between impacts the forecast knows less, as it takes each particle for a splat.
+        The pace is measured in the time loops alone: between impacts the forecast knows less, as it takes each particle for a splat.
         Of impacts in batches it is that of whole batches.
         """
         if self._batches is not None:
