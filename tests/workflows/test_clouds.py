@@ -114,7 +114,7 @@ def test_units_of_names_are_taken_and_held_against_the_option(tmp_path: Path) ->
         np.testing.assert_allclose(cloud.x, BALL * 1e-6, rtol=1e-12)
         np.testing.assert_allclose(cloud.T, T + 273.15)
         assert any("coordinates in um" in note for note in notes) == (unit is None)
-    with pytest.raises(SplatError, match="--unit is not that of x, y and z in the file, um"):
+    with pytest.raises(SplatError, match="--unit differs from the unit of x, y and z in the file, um"):
         of_file(tmp_path / "a.csv", unit=1e-3)
     (tmp_path / "b.csv").write_text(text(head="x,y,z,T [F]"))
     assert "field 'T' left out: its unit 'F' is not understood" in of_file(tmp_path / "b.csv", unit=1e-6)[1]
