@@ -221,7 +221,7 @@ def test_what_lammps_refuses_is_an_error_of_the_solver(
     pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(start, "_deck", lambda name: "no_such_command 1")
-    with pytest.raises(SolverError, match=r"cannot build this particle .*no_such_command.* fewer points"):
+    with pytest.raises(SolverError, match=r"cannot create this particle .*no_such_command.* fewer points"):
         pair()
 
 

@@ -54,7 +54,7 @@ def test_a_chamber_heats_and_a_barrel_lengthens():
         ({"exti": "2 mm"}, 'unknown key (did you mean "exit"?)'),
         ({"inlet": None}, "missing: inlet"),
         ({"injection": "1 m"}, "injection = 1000 mm: lies outside the nozzle"),
-        ({"source": "a\x1b[2J"}, "source must be plain text"),
+        ({"source": "a\x1b[2J"}, "source must be a text"),
     ],
 )
 def test_a_nozzle_of_ones_own(change, says):
