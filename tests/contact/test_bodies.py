@@ -383,7 +383,7 @@ def test_positions_that_are_no_numbers_are_refused() -> None:
     x[b.surfaces.nodes_of(1)[0]] = np.nan
     with pytest.raises(SolverError, match="not finite numbers"):
         contact.search(x, 0.1)
-    with pytest.raises(SolverError, match="no numbers"):
+    with pytest.raises(SolverError, match="not finite numbers"):
         interface(b.surfaces, x, 1, 0.1)
 
 
