@@ -51,7 +51,9 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
     """
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
-        raise InputError(path, f"is larger than {LARGEST_FILE // 1024**3} GiB")
+        raise InputError(
+            path, f"is larger than {LARGEST_FILE // 1024**3} GiB, the most that is read: give fewer points"
+        )
     if columns is not None and kind not in TEXT:
         raise InputError(path, f"has no named columns: leave --columns out, it is for {', '.join(TEXT)}")
     if kind in SURFACES and len(read_surface(path)[1]):

@@ -135,7 +135,7 @@ def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
         raise ValueError(f"points lie more than {FARTHEST:g} m from the origin")
     columns = CELL_COLUMNS[kind]
     if id_count != columns * cell_count:
-        raise ValueError("the connectivity must have {columns} points for each of {cell_count} cells")
+        raise ValueError(f"the connectivity must have {columns} points for each of {cell_count} cells")
     start = root.number("Steps/ConnectivityIdOffsets", step)
     cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
     if cells.size and (cells.min() < 0 or cells.max() >= point_count):
