@@ -139,7 +139,7 @@ def test_bonds_and_formula_that_disagree_are_both_said() -> None:
     split = found("Al", 614.0, torn, 20.0)
     assert (split.verdict, split.bonds, split.rebounded) == ("undecided", "rebounds", True)
     assert split.rests_on.startswith(
-        "it rebounds by computed bonds (all bonds are torn, it moves off at 20 m/s; so close"
+        "it rebounds by computed bonds (all bonds are torn, it moves off at 20 m/s; the margin is so small"
     )
     assert "critical 473 m/s (OFHC_Cu) and" in split.rests_on
     own = found("Cu", 614.0, torn, 20.0)
