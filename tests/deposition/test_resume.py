@@ -84,7 +84,7 @@ def test_a_state_comes_back_exactly(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.parts[1].T, state.part.T)
     assert back.ids.dtype == np.int32
     assert replace(back, part=None, parts=[], ids=None) == replace(state, part=None, parts=[], ids=None)
-    with pytest.raises(TypeError, match="cannot hold"):
+    with pytest.raises(TypeError, match="cannot store"):
         checkpoint.write(tmp_path, replace(state, said={"a": object()}), {})
 
 
@@ -173,7 +173,7 @@ def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
     assert len(lines) == 4
     assert all("damaged" in line and "one before" in line for line in lines)
     checkpoint.stored(tmp_path)[0][1].write_bytes(b"nonsense")
-    with pytest.raises(CheckpointError, match=r"no checkpoint .* is whole"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint .* can be read"):
         checkpoint.latest(tmp_path, Kept, about, lines.append)
 
 
@@ -201,7 +201,7 @@ def test_a_checkpoint_that_breaks_off_keeps_what_is_there(tmp_path: Path) -> Non
     checkpoint.write(tmp_path, kept(1), {})
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
-        with pytest.raises(StoreError, match="File too large; make room"):
+        with pytest.raises(StoreError, match="File too large; free some space"):
             checkpoint.write(tmp_path, {"x": np.zeros(100_000)}, {})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -214,7 +214,7 @@ def test_a_checkpoint_that_breaks_off_keeps_what_is_there(tmp_path: Path) -> Non
 def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checkpoint.write(tmp_path, kept(1), {})
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))  # type: ignore[attr-defined]
-    with pytest.raises(StoreError, match="no space left on the disk; make room"):
+    with pytest.raises(StoreError, match="no space left on the disk; free some space"):
         checkpoint.write(tmp_path, kept(2), {})
     found = checkpoint.latest(tmp_path, Kept, {})
     assert found is not None
