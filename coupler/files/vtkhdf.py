@@ -284,7 +284,7 @@ def _state_at(old: Root, steps: int) -> _State:
     """The valid rows of a file after its first steps."""
     times = times_of(old)
     if len(times) < steps:
-        raise IndexError(f"{old.path} has {len(times)} steps, {steps} are asked for")
+        raise IndexError(f"{old.path} has {len(times)} steps, {steps} are needed")
     last, n = read_step(old, steps - 1, times), steps - 1
     part, points, cells = old.number("Steps/PartOffsets", n), len(last.points), len(last.cells)
     parts = {name: part + 1 for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")}

@@ -183,8 +183,8 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
 
 
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
-    """The decision about each effect. situations: one for each impact, of each number the largest counts; settled: what the scene
-    says itself."""
+    """The decision about each effect. situations: one for each impact, of each number the largest counts; settled: effects that
+    the scene sets."""
     exposed = any(situation.exposed for situation in situations)
 
     def of(effect: Effect) -> Decision:

@@ -70,7 +70,7 @@ class Scene(SceneData):
     def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
         """Check a scene given as nested dicts, as TOML has them. Raises SceneError with every problem."""
         if "scene" in data and not {"particle", "coating"} & data.keys() and {"points", "ensemble"} & data.keys():
-            raise SceneError([f"is the file of a sweep: coldspray sweep {source}"], source)
+            raise SceneError([f"is the file of a sweep: run coldspray sweep {source}"], source)
         return _checked(data, source)
 
     def to_toml(self) -> str:

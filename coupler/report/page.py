@@ -143,9 +143,9 @@ def report(
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps worth a picture: before the greatest deformation, where the summary names it, that one, and the last.
+    """Steps to draw: one before the greatest deformation, the greatest deformation if the summary names it, and the last.
 
-    Of several impacts their greatest deformations, as many as there is room for, and the last step.
+    For several impacts their greatest deformations, at most `most` in all, and the last step.
     """
     times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1

@@ -32,7 +32,7 @@ def preset_of(row: Mapping[str, str]) -> str:
 
 
 def order_of(rows: Rows, measure: str, T_0: float) -> str:
-    """The fitted order in words, or why there is none. T_0: K, of the last particle before its impact."""
+    """The fitted order in words, or the reason why there is none. T_0: K, of the last particle before its impact."""
     try:
         fitted = fit.fit_order(*fit.resolutions(rows, measure, T_0))
     except ValueError:

@@ -69,7 +69,7 @@ class Sweep:
             f"{key}: unknown key{nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in data if key not in _KEYS
         ]
         if not {"scene", "points", "ensemble"} & data.keys() and {"particle", "coating"} & data.keys():
-            raise SceneError([f"is a scene, not the file of a sweep: coldspray run {source}"], source)
+            raise SceneError([f"is a scene, not the file of a sweep: run coldspray run {source}"], source)
         name = data.get("name", safe_name(source))
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
             problems.append("name: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)")
