@@ -143,9 +143,9 @@ def report(
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps to draw: one before the greatest deformation, the greatest deformation if the summary names it, and the last.
+    """Steps to draw, `most` at most: in even times up to the greatest deformation, if the summary names it, and the last step.
 
-    For several impacts their greatest deformations, at most `most` in all, and the last step.
+    For several impacts their greatest deformations and the last step; without any, evenly spaced steps.
     """
     times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1

@@ -371,8 +371,8 @@ def test_quiet_progress_says_nothing():
     ("words", "says"),
     [
         (["rnu", "x.toml"], "there is no command 'rnu' (did you mean \"run\"?)"),
-        (["check", "many.toml"], "is the file of a sweep: coldspray sweep many.toml"),
-        (["sweep", "one.toml"], "is a scene, not the file of a sweep: coldspray run one.toml"),
+        (["check", "many.toml"], "is the file of a sweep: run coldspray sweep many.toml"),
+        (["sweep", "one.toml"], "is a scene, not the file of a sweep: run coldspray run one.toml"),
         (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
         (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),
         (["run", "one.toml", "--jobs", "0"], "'0' is not a whole number above zero"),
