@@ -33,7 +33,7 @@ def test_areas_of_the_tables_for_air(M, ratio):
 
 def test_nothing_is_narrower_than_the_throat():
     assert gas.mach(1.0, 1.4, True) == 1.0
-    with pytest.raises(ColdsprayError, match="narrower"):
+    with pytest.raises(ColdsprayError, match="narrowest"):
         gas.mach(0.99, 1.4, True)
 
 
