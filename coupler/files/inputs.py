@@ -96,7 +96,7 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
         except OSError as error:
             raise InputError(path, f"cannot be read: {error.strerror or error}") from None
     if len(raw) > limit:
-        raise InputError(path, f"is larger than {_bytes(limit)}: not a file for this program")
+        raise InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -349,7 +349,7 @@ def test_hostile_text_is_a_scene_error(text):
 def test_unreadable_files(tmp_path):
     for name, content in (("binary.toml", b"\xff\xfe"), ("large.toml", b"#" * 1_000_001)):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(SceneError, match=r"not text in UTF-8|larger than 1 MB"):
+        with pytest.raises(SceneError, match="give another file"):
             Scene.load(tmp_path / name)
     with pytest.raises(SceneError, match="is missing"):
         Scene.load(tmp_path / "absent.toml")
