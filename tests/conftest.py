@@ -49,6 +49,13 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def eight_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So many threads as on a larger machine: those that wait give way at once, as there are fewer cores here."""
+    monkeypatch.setattr("coupler.core.threads.cores", lambda: 8)
+    monkeypatch.setattr("coupler.core.threads.SPINS", 0)
+
+
 @pytest.fixture(scope="session")
 def of_all_workers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of the session, the same in each of its processes."""

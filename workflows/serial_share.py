@@ -39,7 +39,7 @@ PIECES: dict[str, tuple[type, tuple[str, ...]]] = {
     "contact search": (Contact, ("search",)),
     "contact forces": (Contact, ("forces",)),
     "surface of the particle": (CarriedSurface, ("contacts", "moving_contacts", "spread", "positions", "values", "support")),
-    "heat": (HeatPaths, ("flow", "release_friction")),
+    "heat": (HeatPaths, ("flow", "release")),
     "history, ledger, files": (Recorder, ("record",)),
     "exchange": (Impact, ("advance", "advance_target", "exchange_forces", "stable_time_step", "search_bodies", "search_contacts")),
 }  # fmt: skip

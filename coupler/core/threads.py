@@ -106,13 +106,13 @@ _ALONE = Team(0)
 
 
 def _of(count: int) -> Team:
-    return Team(count - 1, SPINS if count <= cores() else 0)
+    return Team(min(count, cores()) - 1, SPINS)  # a thread more than there are cores only waits for one
 
 
 @contextmanager
 def threads_of(count: int) -> Iterator[None]:
-    """Compute in `count` threads within this context. BLAS has one: more would add up long products in another order, and wait for
-    cores that the others keep busy."""
+    """Compute in `count` threads, at most one per core, within this context. BLAS has one: more would add up long products in another
+    order, and wait for cores that the others keep busy."""
     before = _current.set(_of(count))
     try:
         with threadpool_limits(1, "blas"):
@@ -124,7 +124,7 @@ def threads_of(count: int) -> Iterator[None]:
 
 def at_least(count: int) -> None:
     """Compute in `count` threads, where there are fewer, until the end of the `threads_of` that the caller is in."""
-    if _current.get().count < count - 1:
+    if _current.get().count < min(count, cores()) - 1:
         _current.get().close()
         _current.set(_of(count))
 

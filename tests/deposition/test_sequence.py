@@ -291,6 +291,7 @@ def test_a_splat_that_cannot_be_meshed_is_a_failed_computation(
     assert len(Result(tmp_path / "two").times("particle")) > 3
 
 
+@pytest.mark.usefixtures("eight_cores")
 def test_threads_give_the_numbers_of_one(
     shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_jet_heats_a_small_body_as_one_lump() -> None:
     assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.elements.T - 300.0)), rel=1e-8)
 
 
+@pytest.mark.usefixtures("eight_cores")
 def test_threads_cool_as_one_does_to_the_last_bit() -> None:
     m = block(0.045)
     assert len(m.points) > 2 * LEAST

@@ -225,6 +225,7 @@ def test_what_lammps_refuses_is_an_error_of_the_solver(
         pair()
 
 
+@pytest.mark.usefixtures("eight_cores")
 @pytest.mark.parametrize("threads", [2, 3, 8])  # also more than there are cores
 def test_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]], threads: int) -> None:
     """Any split of points and pairs over threads gives the same forces, whoever computes which part."""
@@ -291,6 +292,7 @@ def test_functions_of_all_threads_release_the_lock_of_python() -> None:
     assert all("nogil=True" in head for head in heads)
 
 
+@pytest.mark.usefixtures("eight_cores")
 @pytest.mark.parametrize("threads", [1, 2, 8])
 def test_compiled_loops_are_gone_through_once_and_end_with_an_error(threads: int) -> None:
     """The second loop begins when the first is done; where one thread fails the others do not wait for it."""

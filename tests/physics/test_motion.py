@@ -10,6 +10,7 @@ from coupler.physics import motion
 N, DT = 3 * motion.LEAST + 7, 0.5
 
 
+@pytest.mark.usefixtures("eight_cores")
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_work_of_a_step_is_that_of_the_mean_forces(threads: int) -> None:
     """sum dt (f_old + f) / 2 . v to rounding of a sum of 18,000 terms; the same to the last bit with any number of threads."""

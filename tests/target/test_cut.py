@@ -413,6 +413,7 @@ def test_the_last_impacts_of_a_batch_share_the_threads(
     assert seen == {left: said.get(left) for left in range(1, 6)}
 
 
+@pytest.mark.usefixtures("eight_cores")
 def test_a_task_is_given_threads_on_its_way_and_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def pieces(task: SimpleNamespace, options: RunOptions) -> list[int]:
         """How many ranges work is divided into: before the first window, and after it."""
