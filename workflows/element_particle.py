@@ -23,7 +23,7 @@ from coupler.geometry.extent import shape_measures
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.domains import build_target
 from coupler.impact.ending import EndCriterion
-from coupler.impact.exchange import WINDOW
+from coupler.impact.exchange import CHUNK
 from coupler.impact.measure import crater_depth
 from coupler.particle.packing import surface
 from coupler.physics.constitutive import law_record
@@ -69,7 +69,7 @@ def particle_mesh(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]
 class ElementImpact:
     """An impact whose particle is the second body of the target, as a splat is.
 
-    nodes: of the particle; elements: its mask (m,); plastic_work: J, of the particle, by the trapezoidal rule over WINDOW steps.
+    nodes: of the particle; elements: its mask (m,); plastic_work: J, of the particle, by the trapezoidal rule over CHUNK steps.
     """
 
     def __init__(self, plan: Plan, edge: float):
@@ -112,18 +112,18 @@ class ElementImpact:
         return -float(t.mass[own] @ t.velocity()[own, 2] / t.mass[own].sum())
 
     def advance(self) -> float:
-        """WINDOW steps with one time step and one contact search. Returns the contact force on the particle, upwards, N."""
+        """CHUNK steps with one time step and one contact search. Returns the contact force on the particle, upwards, N."""
         t, bodies, own = self.target, self.bodies, self.elements
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.nodes.v, t.nodes.v))))
-        bodies.search(3.0 * fastest * WINDOW * (self.dt or bodies.stable_dt(0.0)))
-        self.dt = bodies.stable_dt(np.inf, WINDOW * self.dt)
+        bodies.search(3.0 * fastest * CHUNK * (self.dt or bodies.stable_dt(0.0)))
+        self.dt = bodies.stable_dt(np.inf, CHUNK * self.dt)
         force, eps_p, sigma_y = 0.0, t.elements.eps_p[own], t.elements.sigma_y[own]
-        for _ in range(WINDOW):
+        for _ in range(CHUNK):
             t.advance(self.dt)
             bodies.forces(self.dt)
             force = float(t.f_ext[self.nodes, 2].sum())
             t.finish()
-        self.steps += WINDOW
+        self.steps += CHUNK
         self.plastic_work += float(
             self.volume @ (0.5 * (sigma_y + t.elements.sigma_y[own]) * (t.elements.eps_p[own] - eps_p))
         )

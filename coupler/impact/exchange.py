@@ -23,7 +23,7 @@ from ..geometry.points import depths
 from ..physics.adhesion import HELD_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
-from ..plan.cost import WINDOW
+from ..plan.cost import CHUNK
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..target.bodies import BodiesState
@@ -118,7 +118,7 @@ class Impact:
 
     def stable_time_step(self) -> float:
         """The time step (s) that both domains and the contact can take; `limits` counts which of them sets it."""
-        nearer = APPROACH * self.particle.spacing / (WINDOW * max(self.particle.totals.fastest, 1e-9))
+        nearer = APPROACH * self.particle.spacing / (CHUNK * max(self.particle.totals.fastest, 1e-9))
         bounds = {
             "particle": min(self.particle.totals.dt, nearer),
             "contact": self.contact.stable_dt(self._softness, float(self.target.mass[self.surface_nodes].min())),
@@ -128,14 +128,14 @@ class Impact:
         if self.hold is not None:
             bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
         least = min(bounds.values())
-        bounds["target"] = self.bodies.stable_dt(least, WINDOW * least)
+        bounds["target"] = self.bodies.stable_dt(least, CHUNK * least)
         who = min(bounds, key=lambda name: bounds[name])
-        self.limits[who] += WINDOW
+        self.limits[who] += CHUNK
         return self.dt_factor * bounds[who]
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this chunk of steps: their springs limit the time step."""
-        time = WINDOW * self.particle.totals.dt  # no step of the chunk is longer
+        time = CHUNK * self.particle.totals.dt  # no step of the chunk is longer
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.nodes.v, self.target.nodes.v))))
         # in a chunk the particle makes no two surfaces faster against each other than it is; half more for what they gain in speed
         travel = 1.5 * min(max(2.0 * fastest, self.particle.totals.fastest), self._fastest()) * time

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..plan.cost import WINDOW
+from ..plan.cost import CHUNK
 from .ending import EndCriterion
 from .exchange import Impact
 from .recorder import Recorder
@@ -45,9 +45,9 @@ def advance_to_end(
 
 
 def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
-    """Advance both domains by WINDOW steps, fewer and smaller near end_time (s). Returns the time step, s."""
+    """Advance both domains by CHUNK steps, fewer and smaller near end_time (s). Returns the time step, s."""
     impact.search_bodies()
-    dt, steps = impact.stable_time_step(), WINDOW
+    dt, steps = impact.stable_time_step(), CHUNK
     if end_time is not None and impact.time + steps * dt > end_time:
         steps = max(1, int(np.ceil((end_time - impact.time) / dt - 1e-9)))
         dt = (end_time - impact.time) / steps

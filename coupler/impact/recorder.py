@@ -11,6 +11,7 @@ from ..errors import SolverError
 from ..files.store import Store
 from ..geometry.extent import UP, extent
 from ..physics.constitutive import von_mises
+from ..plan.cost import CHUNK
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..target.bodies import Bodies
@@ -20,7 +21,7 @@ from .measure import crater_depth, measure
 from .validity import Extremes
 
 FITTED = 16  # nodes that `crater_depth` fits
-ROWS = 50  # rows of the history in D / v
+ROWS = 50  # rows of the history in D / v, at least one in two chunks of steps
 VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
 
 
@@ -118,7 +119,7 @@ class Recorder:
         row["stretch_min"] = particle.totals.stretch_min
         self.store.record(row)
         self._notice(impact, skin)
-        self.seen.next_row = impact.time + self._row_every
+        self.seen.next_row = impact.time + min(self._row_every, 1.5 * CHUNK * dt)
         if not np.isfinite(ledger["drift"]):
             raise SolverError(
                 f"the energy is not a finite number at t = {impact.time * 1e9:.3f} ns: try a finer preset"

@@ -14,7 +14,7 @@ LEAST_POINTS = 200
 LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
 # Steps with one dt and one contact search, between which nothing is written: at a Courant factor of 0.9 a dt kept for longer becomes
 # unstable.
-WINDOW = 10
+CHUNK = 10
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
 ELEMENT_SIZE_OVER_SPACING = 1.7

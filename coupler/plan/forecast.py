@@ -88,7 +88,7 @@ def _between(plan: Plan, met: Sequence[int]) -> list[float]:
 
 def _file_bytes(impact: ImpactPlan, elements: int) -> float:
     """Bytes of the fields of an impact: a step now and then, at the greatest deformation and at the end, or at the end alone."""
-    every = max(impact.output_every, cost.WINDOW * impact.dt_expected)
+    every = max(impact.output_every, cost.CHUNK * impact.dt_expected)
     steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
     places = impact.points + cost.VERTICES * impact.points ** (2.0 / 3.0)
     return steps * (cost.FILE_BYTES_PER_ELEMENT * elements + cost.FILE_BYTES_PER_POINT * places)

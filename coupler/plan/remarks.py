@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from .. import units
 from ..physics.materials import Material, fitted_at
 from . import cost, effects
-from .cost import WINDOW
+from .cost import CHUNK
 from .effects import Effects
 from .model import ImpactPlan
 from .reading import Scene
@@ -34,11 +34,11 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points in place of {usual}"
         warnings.append(f"the smallest or thinnest particle sets the spacing: the largest has {points}")
-    shortest = max(WINDOW * i.dt_expected for i in impacts)
+    shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
         warnings.append(
-            f"output.every = {units.rounded(scene.output.every, 'ns')} is less than {WINDOW} time steps, some"
-            f" {units.rounded(shortest, 'ns')}: fields are written every {WINDOW} time steps"
+            f"output.every = {units.rounded(scene.output.every, 'ns')} is less than {CHUNK} time steps, some"
+            f" {units.rounded(shortest, 'ns')}: fields are written every {CHUNK} time steps"
         )
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")

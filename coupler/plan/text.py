@@ -163,7 +163,7 @@ def _ends(plan: Plan) -> str:
     """When impacts end, and how often they are written."""
     several = len(plan.impacts) > 1
     last = sorted({i.end_time for i in plan.impacts})
-    often = sorted({max(i.output_every, estimates.WINDOW * i.dt_expected) for i in plan.impacts})
+    often = sorted({max(i.output_every, estimates.CHUNK * i.dt_expected) for i in plan.impacts})
     when = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}[
         plan.impact.end_at
     ]
