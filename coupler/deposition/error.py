@@ -4,11 +4,13 @@ import contextlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import ModuleType
 
 from ..core.executors import end_with, without_interrupts
 from ..errors import ColdsprayError
@@ -43,8 +45,15 @@ class Companions:
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
-            with without_interrupts():
-                process.start()
+            script = sys.modules["__main__"]
+            sys.modules["__main__"] = ModuleType(
+                "__main__"
+            )  # else the process runs a script without a main guard again
+            try:
+                with without_interrupts():
+                    process.start()
+            finally:
+                sys.modules["__main__"] = script
             self._process = process
 
     def end(self) -> None:

@@ -1,6 +1,8 @@
 """The error of a run: the rule, the coarser runs that it follows from, what is kept when a run is stopped while it is measured."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -188,3 +190,15 @@ def test_a_percentile_of_few_points_has_no_error() -> None:
 
     assert set(companions.errors([level(1000), level(500)])) == {"crater_depth_m"}
     assert set(companions.errors([level(5000), level(1250)])) == {"crater_depth_m", "eps_p_p99", "T_p99_K"}
+
+
+@pytest.mark.slow
+def test_a_script_without_a_main_guard_measures_its_error_beside_it(tmp_path: Path) -> None:
+    """The process of the coarser runs does not run the script again."""
+    (tmp_path / "script.py").write_text(
+        f"from coupler import Scene, run\nscene = Scene.from_text({SMALL!r}, 'small')\n"
+        "result = run(scene, 'out', threads=1, quiet=True, error=True)\nprint(sorted(result.errors))\n"
+    )
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.count("flattening_ratio") > 0
+    assert done.stderr == ""
