@@ -4,7 +4,7 @@ A run has as many threads as `threads_of` or `at_least` gave it. Compiled functi
 of them (`together`); loops over kernels in Python are divided into ranges (`share`). Any thread takes the next range when it is free.
 A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
 
-Why not numba's `prange`: with OpenMP a loop waits for a core that another process has (10 to 30 times as long beside two others), with
+Why not numba's `prange`: with OpenMP a loop waits for a core that another process has (up to 19 times as long beside other work), with
 numba's own queue each loop takes 40 us more, and TBB, which is as fast as this, is a further package.
 """
 
