@@ -51,9 +51,8 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def eight_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So many threads as on a larger machine: those that wait give way at once, as there are fewer cores here."""
+    """As many threads as on a larger machine."""
     monkeypatch.setattr("coupler.core.threads.cores", lambda: 8)
-    monkeypatch.setattr("coupler.core.threads.SPINS", 0)
 
 
 @pytest.fixture(scope="session")

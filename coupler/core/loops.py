@@ -20,10 +20,7 @@ LOOPS = 8  # in a compiled function, at most
 PARTS = 64  # ranges that a loop is divided into, at most: four for each of sixteen threads
 SPINS = 20_000  # looks at a counter before another thread may have the processor: some tenths of a millisecond
 PATIENCE = 100_000  # looks, about a millisecond: longer than what one thread does alone between two loops of a step
-FAILED, LOOKS = (
-    2 * LOOPS,
-    2 * LOOPS + 1,
-)  # places in a team: not zero after a failure; SPINS, or 0 with more threads than cores
+FAILED = 2 * LOOPS  # place in a team that is not zero after a failure
 
 _yield_processor = types.ExternalFunction("sched_yield", types.int32())
 
@@ -51,8 +48,8 @@ _add: Callable[[Ints, int, int], int] = intrinsic(_atomic_add)  # type: ignore[a
 def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int, int, int]]:
     """Ranges (lo, hi, part) that make up [0, count), `least` long or longer, left to this thread; ends when all are done.
 
-    team (2 LOOPS + 2,): how many ranges of each loop are taken and done, zero at the beginning; then FAILED, with which other threads
-    stop waiting, and LOOKS. The ranges depend on count and least alone: sums over parts, added in their order, have the same value
+    team (FAILED + 1,): how many ranges of each loop are taken and done, zero at the beginning; and FAILED, with which other threads
+    stop waiting. The ranges depend on count and least alone: sums over parts, added in their order, have the same value
     with any number of threads. A thread may start after the caller has returned: it finds no ranges then, but evaluates the counts
     again, which must not have changed.
     """
@@ -66,13 +63,13 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
     looks = 0
     while _add(team, 2 * loop + 1, 0) < parts and team[FAILED] == 0:
         looks += 1
-        if looks > team[LOOKS]:
+        if looks > SPINS:
             _yield_processor()
 
 
 @njit(cache=True, nogil=True)
 def wait_for(team: Ints) -> None:
-    """Wait for another thread to take a range, without sleeping, but not for long; not at all with more threads than cores."""
+    """Wait for another thread to take a range, without sleeping, but not for long."""
     looks = 0
-    while _add(team, 0, 0) == 0 and looks < PATIENCE and team[LOOKS] > 0:
+    while _add(team, 0, 0) == 0 and looks < PATIENCE:
         looks += 1

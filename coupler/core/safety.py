@@ -20,7 +20,7 @@ LONGEST = 3.0
 HOLD = 0.9
 # Springs of the contact: a point bears one to a second body too, where its mass is at least 0.78 of the lightest node's.
 CONTACT = 0.8
-# Bodies that move on after they have been brought to equilibrium (`deposition.equilibrium`): the step is kept between two searches.
+# Bodies that move on after they have been brought to equilibrium (`target.equilibrium`): the step is kept between two searches.
 SETTLED = 0.9
 # Conduction among points and among elements: Gershgorin bounds the fastest rate, conductivities change within the step.
 CONDUCTION = 0.9

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from .arrays import Ints
 from .cores import cores
-from .loops import FAILED, LOOKS, SPINS, wait_for
+from .loops import FAILED, wait_for
 
 RANGES = 4  # of a loop in Python, for each thread, at most
 R = TypeVar("R")
@@ -48,26 +48,26 @@ class _Loop:
                     self.done.release()
 
 
+def _counters() -> Ints:
+    """The `team` of one call of a function with loops, see `loops.ranges`."""
+    return np.zeros(FAILED + 1, np.int64)
+
+
 class Team:
     """`count` threads beside the calling one. Each runs all submitted tasks, in order, and returns at once from one that others have
-    already finished. spins: looks at a counter before a waiting thread lets others have the processor."""
+    already finished."""
 
-    def __init__(self, count: int, spins: int = SPINS):
-        self.count, self._spins = count, spins
-        self._next = self._team()  # of the work to come
+    def __init__(self, count: int):
+        self.count = count
+        self._next = _counters()  # of the work to come
         self._begun = [SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]() for _ in range(count)]
         self._threads = [Thread(target=self._serve, args=(q, self._next), daemon=True) for q in self._begun]
         for thread in self._threads:
             thread.start()
 
-    def _team(self) -> Ints:
-        team = np.zeros(LOOKS + 1, np.int64)
-        team[LOOKS] = self._spins
-        return team
-
     def join(self, work: Callable[[Ints], object]) -> Ints:
         """Submit work(team) to the other threads. Returns the team, which the caller passes to its own call."""
-        team, self._next = self._next, self._team()
+        team, self._next = self._next, _counters()
         for queue in self._begun:
             queue.put((work, self._next))
         return team
@@ -106,7 +106,7 @@ _ALONE = Team(0)
 
 
 def _of(count: int) -> Team:
-    return Team(min(count, cores()) - 1, SPINS)  # a thread more than there are cores only waits for one
+    return Team(min(count, cores()) - 1)  # a thread more than there are cores only waits for one
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from .fold import Deposition
 from .log import logged
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
-FEW_POINTS = 2000  # up to which a second thread saves some percent of a run (docs/evidence/speed.md)
+FEW_POINTS = 2000  # up to which a second thread saves little of a run (docs/evidence/speed.md)
 POINTS_OF_THREAD = 250  # that make it worth while to wake a thread in every step, which takes some 10 us
 
 Probe = Callable[[Impact], None]

@@ -238,3 +238,10 @@ def _optional(name: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise StoreError(f"this needs the package {name}: pip install {name}") from error
+
+
+def first_step(result: Result, number: int) -> int:
+    """The stored step of the target with which the impact of this number, from 2 on, begins."""
+    impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
+    before = times[impacts == number - 1].max()
+    return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)

@@ -202,7 +202,7 @@ class VtkHdfWriter:
         return {"Connectivity": table.ravel()}
 
     def _packed(self, arrays: Mapping[str, NDArray]) -> dict[str, list[bytes]]:
-        """The chunks of what a step appends, as HDF5's filters would write them; two threads share them."""
+        """The chunks of what a step appends, as HDF5's filters would write them; the threads share them."""
         rows = {name: self._chunk(name, values) for name, values in arrays.items()}
         work = [(name, first) for name, values in arrays.items() for first in range(0, len(values), rows[name])]
 

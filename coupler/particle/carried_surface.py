@@ -12,13 +12,12 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import cKDTree
 
-from ..core.threads import share, together
+from ..core.threads import together
 from ..geometry.products import times, times_rows
 from ..geometry.triangles import rings
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
-LEAST_ROWS = 1000  # in a range of a loop in Python that threads share
 BESIDE = 1.0  # spacings: a point so near to a vertex lies under it, in the outermost layer
 
 
@@ -70,9 +69,7 @@ class CarriedSurface:
 
     def contacts(self, x: np.ndarray) -> np.ndarray:
         """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3)."""
-        out = np.zeros((self.touching.shape[0], 3))
-        share(lambda lo, hi: k.combine(self._rows[lo:hi], *self._touching, x, out), len(self._rows), LEAST_ROWS)
-        return out
+        return times_rows(self.touching, x)
 
     def moving_contacts(
         self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray

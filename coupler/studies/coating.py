@@ -17,7 +17,7 @@ from .. import units
 from ..errors import StoreError
 from ..files.fields import Fields
 from ..files.inputs import parse_toml
-from ..files.result import COLD, Result
+from ..files.result import COLD, Result, first_step
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors
@@ -69,9 +69,8 @@ class Splats:
     @property
     def least_efficiency(self) -> float:
         """Deposition efficiency if all undecided particles count as lost."""
-        return self.deposition_efficiency - sum(self.mass[i] * self.stayed[i] for i in self.undecided) / float(
-            self.mass.sum()
-        )
+        lost = sum(self.mass[i] * self.stayed[i] for i in self.undecided)
+        return self.deposition_efficiency - lost / float(self.mass.sum())
 
 
 def read(result: Result, before: int | None = None) -> Splats:
@@ -115,13 +114,6 @@ def read(result: Result, before: int | None = None) -> Splats:
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
                   plan.splat_element_size, is_cold, undecided)  # fmt: skip
-
-
-def first_step(result: Result, number: int) -> int:
-    """The stored step of the target with which the impact of this number, from 2 on, begins."""
-    impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
-    before = times[impacts == number - 1].max()
-    return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)
 
 
 class Columns:

@@ -22,6 +22,7 @@ from coupler.fe import explicit, heat, stability
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
+from coupler.files.result import first_step
 from coupler.geometry import mesher
 from coupler.geometry.points import morton
 from coupler.geometry.tetrahedra import volumes
@@ -37,7 +38,6 @@ from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.ranks.ranks import Ranks
 from coupler.splat.convert import convert
-from coupler.studies.coating import first_step
 from coupler.target.bodies import Bodies
 from coupler.target.domain import domain_now, domain_of, merge
 from coupler.target.equilibrium import settle
