@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .files.result import Result
     from .plan.reading import Scene
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = ["Result", "Scene", "run"]
 
 

@@ -152,7 +152,7 @@ def summary_of(*impacts: dict[str, Any], **run: Any) -> dict[str, Any]:
     """A summary of these records of impacts, with the tables that they lack, and these values of the run."""
     whole = {"greatest": None, "end": {}, "refused": {}, "errors": {}, "undecided": None}
     return {
-        "format": 2, "version": "0.2.0", "run": {"warnings": [], "retries": [], "undecided": None, **run},
+        "format": 2, "version": "0.3.0", "run": {"warnings": [], "retries": [], "undecided": None, **run},
         "impacts": [whole | impact for impact in impacts], "joins": [],
     }  # fmt: skip
 

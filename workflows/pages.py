@@ -8,7 +8,7 @@ import re
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,20 @@ def computed(scene: Scene, **more: Any) -> Iterator[tuple[Result, float]]:
 def spacing_of(points: int, diameter: float = 25.0) -> float:
     """Spacing (um) of so many points in a sphere of a diameter (um)."""
     return (math.pi / 6.0 * diameter**3 / points) ** (1.0 / 3.0)
+
+
+def reference(now: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds of a loop in numpy that fits into the cache of one core, the fastest of a few: times over it compare between machines."""
+    a = np.random.default_rng(1).standard_normal((200, 200))
+
+    def once() -> float:
+        start = now()
+        for _ in range(40):
+            a.T.copy().sum()
+            np.sqrt(np.abs(a)).sum()
+        return now() - start
+
+    return min(once() for _ in range(5))
 
 
 def machine() -> str:

@@ -12,8 +12,7 @@ from itertools import count, takewhile
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-from pages import TABLES, machine, options, single_impact, spacing_of, write_table
+from pages import TABLES, machine, options, reference, single_impact, spacing_of, write_table
 
 from coupler.core.cores import cores
 from coupler.core.threads import threads_of
@@ -31,20 +30,6 @@ STEPS, ROUNDS = 40, 5
 def scene(points: int, more: str = "") -> Scene:
     """The impact of a nickel particle of so many points."""
     return Scene.from_text(single_impact("Ni", 25.0, 500.0, spacing=spacing_of(points), more=more), "scaling")
-
-
-def reference() -> float:
-    """Seconds of a loop in numpy that fits into the cache of one core, the fastest of a few."""
-    a = np.random.default_rng(1).standard_normal((200, 200))
-
-    def once() -> float:
-        start = time.perf_counter()
-        for _ in range(40):
-            a.T.copy().sum()
-            np.sqrt(np.abs(a)).sum()
-        return time.perf_counter() - start
-
-    return min(once() for _ in range(ROUNDS))
 
 
 def steps_on(points: int, counts: list[int]) -> dict[int, float]:

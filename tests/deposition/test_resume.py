@@ -192,7 +192,7 @@ def test_an_older_format_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(
         CheckpointError, match=rf"by coldspray 0\.1\.0 in format 4, this version reads format {checkpoint.FORMAT}"
     ):
-        checkpoint.latest(tmp_path, Kept, {"version": "0.2.0"})
+        checkpoint.latest(tmp_path, Kept, {"version": "0.3.0"})
 
 
 def test_a_checkpoint_that_breaks_off_keeps_what_is_there(tmp_path: Path) -> None:

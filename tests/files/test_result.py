@@ -67,7 +67,7 @@ def test_finished_run(folder):
     assert result.lost is None
     assert (result.steps, result.impact(1)["steps"]) == (9, 7), "the whole run comes first"
     assert result.warnings == ["slow"]
-    assert result.values["version"] == result.version == "0.2.0"
+    assert result.values["version"] == result.version == "0.3.0"
     assert result.impact()["flattening_ratio"] == 0.56
     assert "flattening_ratio" not in result.impact(0)
     with pytest.raises(IndexError):
