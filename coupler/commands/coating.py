@@ -6,7 +6,18 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
-from .arguments import Commands, add_command, add_force, at_least_one, path, quantity, teller, working
+from .arguments import (
+    Commands,
+    add_command,
+    add_force,
+    add_jobs,
+    at_least_one,
+    jobs_of,
+    path,
+    quantity,
+    teller,
+    working,
+)
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -25,7 +36,7 @@ def add(commands: Commands) -> None:
            help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
     option("--seeds", type=at_least_one, default=0, metavar="N",
            help="first compute the coating with N other seeds, and give each measure its error from all (default: none)")  # fmt: skip
-    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+    add_jobs(option, "runs at a time, each on one core")
     add_force(option)
 
 
@@ -42,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
     if arguments.seeds:
         others = coating_seeds.other_seeds(Scene.from_text(result.scene_text, str(arguments.run)), arguments.seeds)
-        spread.compute(others, arguments.run / coating_seeds.FOLDER, arguments.jobs, teller(False))
+        spread.compute(others, arguments.run / coating_seeds.FOLDER, jobs_of(arguments), teller(False))
     with reading(arguments.run), working("measuring the coating") as progress:
         splats = coating.read(result)
         measures = coating_seeds.measured(result, splats, arguments.window)
