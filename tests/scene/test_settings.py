@@ -12,7 +12,7 @@ WORKFLOWS = Path(__file__).parents[2] / "workflows"
 SCENES = sorted(
     path
     for path in WORKFLOWS.glob("*.toml")
-    if path.stem not in ("map_ni", "paper_values", "in718_nozzle", "measurements")
+    if path.stem not in ("map_ni", "paper_values", "laboratory_nozzles", "measurements")
 )
 SINGLE, TRIPLE = (str(WORKFLOWS / f"{name}_ni.toml") for name in ("single", "triple"))
 
