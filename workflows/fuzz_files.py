@@ -67,7 +67,7 @@ resolution = { spacing = "1.1 um" }
 end = { time = "12 ns" }
 """
 SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
-GAS = shlex.split('gas --nozzles FILE --pressure "20 bar" --temperature "400 degC" --diameter "25 um" --nozzle')
+GAS = shlex.split('gas --library FILE --pressure "20 bar" --temperature "400 degC" --diameter "25 um" --nozzle')
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ SHOW = [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]
 KINDS = (
     Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
     Kind("coating scene", "coating.toml", 3, [["check", "FILE"]]),
-    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["nozzles", "--nozzles", "FILE"]]),
+    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["nozzles", "--library", "FILE"]]),
     Kind("points as text", "cloud.csv", 2, [["mesh", "FILE", "--unit", "um", "--out", "OUT.vtu"]]),
     Kind("points as .npz", "cloud.npz", 2, [["mesh", "FILE", "--out", "OUT.msh"]]),
     Kind("points of meshio", "cloud.vtu", 2, [["mesh", "FILE", "--out", "OUT.vtk"]]),
@@ -113,7 +113,7 @@ def prepare(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(ROOT / "workflows" / "fast_ni.toml", folder / "scene.toml")
     shutil.copy(ROOT / "workflows" / "coating_ni.toml", folder / "coating.toml")
-    text = (ROOT / "coupler" / "spray" / "nozzles.toml").read_text().replace("[D42PBI]", "[Mine]")
+    text = (ROOT / "coupler" / "spray" / "nozzles.toml").read_text().replace("[D42PBI]", "[nozzles.Mine]")
     (folder / "nozzles.toml").write_text(text)
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(*[np.arange(6.0)] * 3, indexing="ij"), -1).reshape(-1, 3)

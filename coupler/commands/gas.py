@@ -34,15 +34,19 @@ def add_conditions(option: Option) -> None:
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
-    option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --nozzles FILE")
-    option("--nozzles", type=path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
-    option("--scene", type=path, metavar="SCENE", help="a scene whose own metals and nozzles are known, too")
+    option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --library FILE")
+    add_library(option)
     option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
     option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
     option("--powder-temperature", metavar="T", default="20 degC", help="of the powder when fed (default: 20 degC)")
     option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
     option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
+
+
+def add_library(option: Option) -> None:
+    """The option of a file of the user's own metals and nozzles; `own_tables` reads it."""
+    option("--library", type=path, metavar="FILE", help="metals and nozzles of your own, or a scene that has some")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -79,10 +83,13 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     from ..spray.flight import DRAG_LAWS, fly_together
     from ..spray.nozzles import unknown
 
-    nozzles, metals = known_nozzles(arguments), known_metals(arguments)
+    nozzles = known_nozzles(arguments)
+    metals, found = materials.from_scene(own_tables(arguments)["materials"])
+    if found:
+        raise SceneError(found, str(arguments.library))
     for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
         if out is not None:
-            claim_file(out, (suffix,), _inputs(arguments), arguments.force)
+            claim_file(out, (suffix,), [arguments.library] if arguments.library else [], arguments.force)
     options = {field: value for field in _FIELDS if (value := vars(arguments)[field]) is not None}
     conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
     problems = []
@@ -113,7 +120,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
 
 def given(arguments: argparse.Namespace) -> list[str]:
     """The options as given, for the command that remakes a table."""
-    values = {field: vars(arguments)[field] for field in (*_FIELDS, "material", "nozzles", "scene", "csv")}
+    values = {field: vars(arguments)[field] for field in (*_FIELDS, "material", "library", "csv")}
     options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
     return [*options, *(["--bow-shock"] if arguments.bow_shock else [])]
 
@@ -122,47 +129,27 @@ def _option(field: str) -> str:
     return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
-def _inputs(arguments: argparse.Namespace) -> list[Path]:
-    """The files that the options name to be read."""
-    return [file for file in (arguments.nozzles, arguments.scene) if file is not None]
-
-
 def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
-    """The nozzles of the library, of --nozzles and of --scene. Raises SceneError with every problem of a file."""
+    """The nozzles of the library and of --library. Raises SceneError with every problem of the file."""
     from ..errors import SceneError
-    from ..files.inputs import read_toml
     from ..spray import nozzles
 
-    known = dict(nozzles.library())
-    for file in _inputs(arguments):
-        tables = read_toml(file) if file is arguments.nozzles else _tables_of(file, "nozzles")
-        found, problems = nozzles.from_tables(tables)
-        if problems:
-            raise SceneError(problems, str(file))
-        known |= found
-    return known
-
-
-def known_metals(arguments: argparse.Namespace) -> "dict[str, Material]":
-    """The metals of the library and of --scene, by their names and other names. Raises SceneError with every problem of the scene."""
-    from ..errors import SceneError
-    from ..physics import materials
-
-    known, problems = materials.from_scene(_tables_of(arguments.scene, "materials") if arguments.scene else {})
+    known, problems = nozzles.from_tables(own_tables(arguments)["nozzles"])
     if problems:
-        raise SceneError(problems, str(arguments.scene))
+        raise SceneError(problems, str(arguments.library))
     return known
 
 
-def _tables_of(scene: Path, kind: str) -> "dict[str, Any]":
-    """The tables [kind.NAME] of a scene, whose other tables may be anything."""
+def own_tables(arguments: argparse.Namespace) -> "dict[str, Any]":
+    """The tables `materials` and `nozzles` of --library. Raises SceneError with every problem of these."""
     from ..errors import SceneError
     from ..files.inputs import read_toml
+    from ..plan.own import with_library
 
-    tables = read_toml(scene).get(kind, {})
-    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
-        raise SceneError([f"{kind}: expected tables, such as [{kind}.Mine]"], str(scene))
-    return tables
+    raw: dict[str, Any] = read_toml(arguments.library) if arguments.library else {}
+    if problems := with_library(raw, str(arguments.library)):
+        raise SceneError(problems, str(arguments.library))
+    return raw
 
 
 def shown(nozzle: "Nozzle") -> str:

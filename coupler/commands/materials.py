@@ -1,10 +1,11 @@
-"""The command `coldspray materials`: the metals of the library, and all about one of them."""
+"""The command `coldspray materials`: the metals of the library, all about one of them, and metals from a table of others."""
 
 import argparse
 import textwrap
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_command
+from .arguments import Commands, add_command, add_force, path
+from .collection import COLUMNS
 
 if TYPE_CHECKING:
     from ..physics.materials import Entry, Material
@@ -16,13 +17,21 @@ def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "materials", run, "metals of the library, their strength sets and sources")
     option("name", nargs="?", metavar="NAME", help="all about one metal (default: list all)")
+    option("--import", type=path, dest="table", metavar="FILE",
+           help=f"write a library for scenes of a csv table with the columns {', '.join(COLUMNS)}")  # fmt: skip
+    option("--out", type=path, metavar="FILE", help="the library (default: the name of the table with .toml)")
+    add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an unknown name."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an unknown name, or with every problem of a table."""
     from ..physics import materials
+    from .collection import write_library
 
-    if arguments.name:
+    if arguments.table:
+        out = arguments.out or arguments.table.with_suffix(".toml")
+        print("\n".join(write_library(arguments.table, out, arguments.force)))
+    elif arguments.name:
         print("\n".join(_explained(materials.entry(arguments.name))))
     else:
         print("\n".join(_listed([materials.entry(name) for name in materials.names()])))

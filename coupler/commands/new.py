@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..errors import ColdsprayError
 from .arguments import Commands, add_command, add_force, path
+from .gas import add_library, known_nozzles, shown
 
 SCHEMA = "scene.schema.json"
 KINDS = {
@@ -28,8 +29,7 @@ def add(commands: Commands) -> None:
     option("--force", action="store_true", help="replace a file of this name")
     add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
     option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
-    option("--nozzles", type=path, metavar="FILE", help="also those of a TOML file in the form of the library")
-    option("--scene", type=path, metavar="SCENE", help="also those of a scene")
+    add_library(option)
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
     option("--out", type=path, metavar="FILE", help="write it there, as .json")
     add_force(option)
@@ -73,8 +73,6 @@ def shapes(arguments: argparse.Namespace) -> int:
 
 def nozzles(arguments: argparse.Namespace) -> int:
     """Print the nozzles. Returns the exit code."""
-    from .gas import known_nozzles, shown
-
     print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments).values()))
     return 0
 

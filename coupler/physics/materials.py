@@ -46,6 +46,10 @@ _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "k": ("W/(m K)", 0.01, 5000.0),
     "thermal_expansion": ("1/K", 0.0, 1e-3),
 }
+#: Unit of each number in the table of a metal, "" of a plain number.
+UNITS = {key: limits[0] for key, limits in (_LIMITS | _OTHER_FIELDS | _PAIR_LIMITS).items()} | {
+    key: parameter.unit for law in LAWS.values() for key, parameter in law.parameters.items()
+}
 _DEFAULTS: dict[str, float | str | Pairs | None] = {
     "taylor_quinney": 0.9,
     "thermal_expansion": ((300.0, 0.0),),

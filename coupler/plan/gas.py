@@ -69,8 +69,8 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
     raw: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the
     materials. Returns the problems that only the gas has; the scene's own check finds the others.
     """
-    own = raw.get("nozzles")
-    tables = {k: v for k, v in own.items() if isinstance(v, Mapping)} if isinstance(own, Mapping) else {}
+    tables = raw["nozzles"]
+    assert isinstance(tables, dict)
     known, problems = nozzles.from_tables(tables)
     if "gas" not in raw:
         return problems

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 from ..errors import SceneError
 from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_text, similar
@@ -18,6 +19,7 @@ from .check import problems_of
 from .coating import expand
 from .derived import Derived
 from .gas import fill
+from .own import KINDS, named, with_library
 from .solids import read_forms, with_folders
 
 MOST_ALIKE = 3  # problems of particles that differ in their numbers only
@@ -86,19 +88,16 @@ class Scene(SceneData):
 def _checked(data: Mapping[str, object], source: str) -> Scene:
     """A scene from nested dicts, or a SceneError with all its problems. source: what messages call it."""
     raw = copy.deepcopy(dict(data))
-    tables = raw.get("materials", {})
-    problems = []
-    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
-        problems.append("materials: expected tables, such as [materials.MyNi]")
-        raw["materials"] = tables = {}
+    own = {name for kind in KINDS if isinstance(tables := raw.get(kind), dict) for name in tables}
+    problems = with_library(raw, source)
+    tables = cast(dict[str, dict[str, object]], raw["materials"])
     catalogue, material_problems = materials.from_scene(tables, *_strength_of(raw))
     raw.setdefault("name", safe_name(source))
     drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
     _set_defaults(raw)
-    if "gas" in raw or "nozzles" in raw:
-        problems += fill(raw, catalogue)
+    problems += fill(raw, catalogue)
     with_folders(raw, source)
     faulty: set[str] = set()
     read, entries = read_table(Scene, raw)
@@ -118,6 +117,10 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
                 problems.append(problem)
     if problems or read is None:
         raise SceneError(_brief(problems), source)
+    own |= named(read)  # what the scene does not use of its library is not part of it
+    read = read.model_copy(
+        update={kind: {name: table for name, table in dict(read)[kind].items() if name in own} for kind in KINDS}
+    )
     if drawn:  # in an order in which many can be computed side by side
         places = [Landing(p.offset, Derived(read).window_of(p), p.diameter) for p in read.particles]
         return read.model_copy(update={"particles": [read.particles[i] for i in side_by_side(places)]})

@@ -25,6 +25,7 @@ class SceneData(tables.Section):
     preset: Literal["draft", "standard", "fine"] = "standard"
     effects: str | list[str] = "auto"
     strength: str | None = Field(None, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")
+    library: str | None = None
     particles: list[tables.Particle] = Field(alias="particle")
     coating: tables.Coating | None = None
     gas: tables.GasConditions | None = None

@@ -27,6 +27,7 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     derived(heading, table): of the fields that a table leaves out, the value that takes their place; comments in the text.
     """
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
+    lines += [f'strength = "{scene.strength}"'] if scene.strength else []
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
     tables: list[tuple[str, Section | None]] = [(head, particle) for particle in scene.particles]
     for section in (
@@ -64,8 +65,9 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
 
 
 def completed(text: str, full: str) -> str:
-    """The text of a scene with its own order and comments, and all keys and comments of `full` that it lacks."""
+    """The text of a scene with its own order and comments, and all keys and comments of `full` that it lacks: no library."""
     document = tomlkit.parse(_DERIVED.sub("", text))
+    document.pop("library", None)
     _fill(document, tomlkit.parse(full))
     return re.sub(r"\n{3,}", "\n\n", document.as_string())
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ..errors import ColdsprayError, SceneError
 from ..files.inputs import read_toml, similar
+from ..plan.own import with_library
 from ..plan.reading import Scene
 from ..scene.model import safe_name
 from ..scene.toml import set_key
@@ -153,16 +154,20 @@ def _toml_value(value: object) -> str:
 
 def _base(scene: object, source: str, problems: list[str]) -> Table:
     """The scene that all points share."""
+    base: Table = {}
     if isinstance(scene, str):
+        source = str(Path(source).parent / scene)
         try:
-            return read_toml(Path(source).parent / scene)
+            base = read_toml(source)
         except ColdsprayError as error:
             problems.append(f"scene: {error}")
     elif isinstance(scene, Mapping):
-        return dict(scene)
+        base = dict(scene)
     else:
         problems.append('scene: expected a table [scene], or the file of a scene, as scene = "single.toml"')
-    return {}
+    if "library" in base:  # which a point may name any metal of
+        problems += with_library(base, source)
+    return base
 
 
 def _ratios(target: object, problems: list[str]) -> dict[str, float]:

@@ -172,7 +172,7 @@ def test_problems_of_the_gas_stand_among_the_others():
     ):
         assert part in text
     assert "expected a table" in problems(gas=3)[0]
-    assert "expected a table" in problems(nozzles={"Mine": 3})[0]
+    assert "nozzles: expected tables, such as [nozzles.Mine]" in problems(nozzles={"Mine": 3})[0]
 
 
 def test_a_scene_offers_what_the_program_has():
@@ -203,8 +203,8 @@ def test_the_command_prints_writes_and_draws(capsys, tmp_path):
 
 def test_the_command_lists_nozzles_with_their_sources(capsys, tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(Path(nozzles.__file__).with_name("nozzles.toml").read_text().replace("[D42PBI]", "[Mine]"))
-    assert cli.main(["nozzles", "--nozzles", str(path)]) == 0
+    path.write_text(Path(nozzles.__file__).with_name("nozzles.toml").read_text().replace("[D42PBI]", "[nozzles.Mine]"))
+    assert cli.main(["nozzles", "--library", str(path)]) == 0
     said = capsys.readouterr().out
     assert "Mine: inlet 14 mm, throat 2.7 mm" in said
     assert said.count("source:") == 4
@@ -218,7 +218,7 @@ def test_commands_know_metals_and_nozzles_of_a_scene(capsys, tmp_path):
     path.write_text(
         own.replace("[D42PBI]", "[nozzles.Mine]") + '\n[materials.Heavy]\nbase = "Ni"\ndensity = "17800 kg/m^3"\n'
     )
-    of_scene = ["--scene", str(path), "--nozzle", "Mine", "--material", "Heavy"]
+    of_scene = ["--library", str(path), "--nozzle", "Mine", "--material", "Heavy"]
     assert cli.main([*COMMAND, "--diameter", "25 um"]) == 0
     light = capsys.readouterr().out
     assert cli.main([*COMMAND[:-2], *of_scene, "--diameter", "25 um"]) == 0
@@ -239,7 +239,7 @@ def test_commands_know_metals_and_nozzles_of_a_scene(capsys, tmp_path):
         (["--gas", "Ne"], "--gas \"Ne\" must be 'N2', 'He' or 'air'"),
         (["--material", "Nj"], '--material "Nj": unknown material'),
         (["--pressure", "3 bar"], "at least 4.604 bar"),
-        (["--nozzles", "absent.toml"], "absent.toml is missing"),
+        (["--library", "absent.toml"], "absent.toml is missing"),
         (["--csv", "absent/a.csv"], "absent/a.csv: there is no folder"),
     ],
 )

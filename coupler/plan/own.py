@@ -1,0 +1,43 @@
+"""Metals and nozzles of the user's own: tables of a scene, and of the file that its key `library` names."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..files.inputs import InputError, read_toml, similar
+from ..scene.model import SceneData
+
+KINDS = ("materials", "nozzles")
+
+
+def with_library(raw: dict[str, object], source: str) -> list[str]:
+    """Replace the key `library` by the tables [materials.NAME] and [nozzles.NAME] of its file; those of the scene come first.
+
+    raw: a scene as nested dicts, changed in place; source: its file, to whose folder the library's name is relative. Returns the
+    problems.
+    """
+    name, problems = raw.pop("library", None), []
+    given: list[Mapping[str, object]] = [raw]
+    if isinstance(name, str) and "\0" not in name:
+        path = Path(source).parent / Path(name).expanduser()
+        try:
+            given = [read_toml(path), raw]
+        except InputError as error:
+            problems.append(f"library = {name[:80]!r}: the file {error.reason}{similar(path)}")
+    elif name is not None:
+        problems.append('library: expected the name of a TOML file, such as "my_metals.toml"')
+    for kind in KINDS:
+        merged: dict[str, object] = {}
+        for tables in (each.get(kind, {}) for each in given):
+            if isinstance(tables, dict) and all(isinstance(table, Mapping) for table in tables.values()):
+                merged |= tables
+            else:
+                problems.append(f"{kind}: expected tables, such as [{kind}.Mine]")
+        raw[kind] = merged
+    return problems
+
+
+def named(scene: SceneData) -> set[str]:
+    """The metals and the nozzle that a scene names."""
+    names = {scene.substrate.material, *(particle.material for particle in scene.particles)}
+    names |= {name for pair in scene.adhesion.pair or () for name in pair.metals}
+    return names | ({scene.gas.nozzle} if scene.gas else set())
