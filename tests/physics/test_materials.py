@@ -54,8 +54,31 @@ def test_the_library_has_what_engineers_start_from():
     assert all(len(materials.entry(name).sets) > 1 for name in ("Ni", "Cu", "Al", "Ti6Al4V", "SS304"))
 
 
+@pytest.mark.parametrize("name", materials.names())
+def test_elastic_constants_are_those_of_a_metal(name):
+    """Poisson's ratio of G and rho c0^2: 0.25 (Zn) to 0.40 (Nb) by handbooks; a c0 or a G of another metal falls outside."""
+    assert 0.24 < materials.material(name).nu < 0.40
+
+
+def test_tin_has_the_moduli_of_handbooks():
+    """E 50 GPa, nu 0.36, G 18 GPa (WebElements); the c0 that Uintah prints, 5240 m/s, would give nu 0.46."""
+    tin = materials.material("Sn")
+    assert (tin.E, tin.nu, tin.G) == pytest.approx((50e9, 0.36, 18e9), rel=0.07)
+
+
+def test_the_bilinear_set_of_6061_has_a_second_regime():
+    """At 1e7 1/s the rate term is 1 + 0.002 ln 597.2 + 0.0029 ln(1e7 / 597.2), and continuous at 597.2 1/s."""
+    metal = materials.material("Al6061", "Lin_2019")
+    static = 270e6 + 154.3e6 * 0.2**0.239
+    assert metal.flow_stress(0.2, 1e7, 298.0) == pytest.approx(
+        static * (1.0 + 0.002 * 6.3922 + 0.0029 * 9.7259), rel=1e-4
+    )
+    assert metal.flow_stress(0.2, 597.3, 298.0) == pytest.approx(metal.flow_stress(0.2, 597.1, 298.0), rel=1e-5)
+
+
 def test_other_names_are_understood():
     assert materials.material("Cu") is materials.material("OFHC_Cu")
+    assert materials.material("AISI4140") is materials.material("42CrMo4")
     assert materials.material("Nickel") is materials.material("nickel") is materials.material("Ni")
     assert materials.from_scene({})[0]["Cu"] is materials.material("OFHC_Cu")
     with pytest.raises(ColdsprayError, match='did you mean "Copper"'):
