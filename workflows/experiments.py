@@ -198,13 +198,20 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
     return [*markdown(head, lines), "", f"Error of the discretisation: {bands}.", "", versions(rows)]
 
 
+def splat_ratio(row: Row) -> float:
+    """(d0 - h) / d0 with d0 = (w^2 h)^(1/3), width w and height h of the splat, as measured."""
+    w, h = number(row, "splat_diameter_um"), number(row, "thickness_um")
+    return 1.0 - float(h / (w * w * h) ** (1 / 3))
+
+
 def splat_part(rows: Sequence[Row]) -> list[str]:
-    """Flattening on 4340 by each strength set, and the measured ratios, in a sentence each."""
-    done = [row for row in rows if not row["failed"]]
-    done.sort(key=lambda row: number(row, "flattening"))
-    ours = ", ".join(f"{row['metal']} ({row['set']}) {number(row, 'flattening'):.2f}" for row in done)
+    """Ratio of splats on 4340 by each strength set, and the measured ones, in a sentence each."""
+    done = sorted((row for row in rows if not row["failed"]), key=splat_ratio)
+    ours = ", ".join(
+        f"{row['metal']} ({row['set']}) {splat_ratio(row):.2f} ± {number(row, 'flattening_band'):.2f}" for row in done
+    )
     measured = ", ".join(f"{name} {mean:.2f} ± {error:.2f}" for name, (mean, error) in SPLAT["measured"].items())
-    return [f"Measured (d - h) / d: {measured}. Computed 1 - h / D0: {ours}. {versions(done)}"]
+    return [f"Measured: {measured}. Computed: {ours}. {versions(done)}"]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
