@@ -1,8 +1,4 @@
-"""Batches: impacts that are computed side by side, each on its own cut of the target, because their windows lie apart.
-
-They follow from the plan alone, whatever the number of processes: so does the coating. An impact without a window is a batch of one,
-whose cut is the whole target.
-"""
+"""Batches: impacts that are computed side by side, each on its own cut of the target; they follow from the plan alone."""
 
 import math
 from collections.abc import Sequence

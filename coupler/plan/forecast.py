@@ -11,51 +11,39 @@ from .model import ImpactPlan, Plan
 
 @dataclass(frozen=True)
 class Forecast:
-    """A number for each impact. steps: of its time loop; met: elements of all bodies before it, substrate and splats; computed: the
-    elements among these in its sub-domain; looped, between: wall time of its steps and of the work after it, s.
+    """steps: of the time loop of each impact; shares: of the wall time for each impact, before it and of its own steps; whole: wall
+    time, s; memory, files: bytes; target_load: cost of the target and the contact over that of the particles."""
 
-    whole: wall time, s; memory, files: bytes; target_load: cost of the target and the contact over that of the particles.
-    """
-
-    steps: tuple[int, ...]
-    met: tuple[int, ...]
-    computed: tuple[int, ...]
-    looped: tuple[float, ...]
-    between: tuple[float, ...]
+    steps: list[int]
+    shares: list[tuple[float, float]]
     whole: float
     memory: float
     files: float
     target_load: float
 
-    @property
-    def shares(self) -> list[tuple[float, float]]:
-        """Shares of the wall time for each impact: before it, and of its own steps, without the work after it."""
-        ends = list(accumulate(map(sum, zip(self.looped, self.between, strict=True))))
-        whole = ends[-1] + cost.SECONDS_PER_RUN
-        return [(begin / whole, own / whole) for begin, own in zip([0.0, *ends], self.looped, strict=False)]
-
 
 def forecast(plan: Plan) -> Forecast:
     """The expected cost of a plan."""
     impacts, engine = plan.impacts, plan.engine
+    # elements of all bodies before each impact, substrate and splats
     met = list(accumulate((i.splat_elements for i in impacts[:-1]), initial=plan.target.elements_estimate))
-    computed = [_computed(plan, impact, elements) for impact, elements in zip(impacts, met, strict=True)]
     steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
-    points = [i.points for i in impacts]
-    each = list(zip(steps, points, computed, strict=True))
-    looped, between = [cost.step_time(*impact, engine) for impact in each], _between(plan, met)
-    weights = [n * p for n, p, _ in each]  # as the particle's cost goes
-    loads = [cost.target_load(p, elements, engine) for _, p, elements in each]
+    looped, between, files, load, weight = list[float](), _between(plan, met), 0.0, 0.0, 0.0
+    for n, impact, elements in zip(steps, impacts, met, strict=True):
+        computed, points = _computed(plan, impact, elements), impact.points
+        looped.append(cost.step_time(n, points, computed, engine))
+        files += _file_bytes(impact, elements)
+        load += n * points * cost.target_load(points, computed, engine)
+        weight += n * points  # as the particle's cost goes
+    ends = list(accumulate(map(sum, zip(looped, between, strict=True)), initial=0.0))
+    whole = ends[-1] + cost.SECONDS_PER_RUN
     return Forecast(
-        steps=tuple(steps),
-        met=tuple(met),
-        computed=tuple(computed),
-        looped=tuple(looped),
-        between=tuple(between),
-        whole=sum(looped) + sum(between) + cost.run_time(plan.target.elements_estimate),
-        memory=cost.memory(max(points), met[-1]),
-        files=sum(_file_bytes(impact, elements) for impact, elements in zip(impacts, met, strict=True)),
-        target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
+        steps,
+        [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)],
+        sum(looped) + sum(between) + cost.run_time(plan.target.elements_estimate),
+        cost.memory(max(i.points for i in impacts), met[-1]),
+        files,
+        load / weight,
     )
 
 
@@ -79,9 +67,8 @@ def _between(plan: Plan, met: Sequence[int]) -> list[float]:
         step = cost.SECONDS_PER_ELEMENT * (before + own)
         time = cost.JOIN_STEPS * step + (cost.SECONDS_PER_CONVERSION + cost.SECONDS_PER_SPLAT_ELEMENT * own) * (own > 0)
         if closed if last else i in paused:
-            time += cost.PAUSE_STEPS * step + cost.HEAT_STEPS * cost.SECONDS_PER_HEAT_ELEMENT * (before + own) * (
-                not last
-            )
+            heat = 0.0 if last else cost.HEAT_STEPS * cost.SECONDS_PER_HEAT_ELEMENT
+            time += cost.PAUSE_STEPS * step + heat * (before + own)
         times.append(time if closed or not last else 0.0)
     return times
 

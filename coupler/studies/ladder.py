@@ -4,20 +4,19 @@ Costs are processor time (`time.process_time`, and that of the process that make
 less than wall time; the wall time is kept beside it.
 """
 
-import json
 import math
 import resource
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from ..core import safety
-from ..deposition.run import resume, run
+from ..deposition.run import run
 from ..errors import SceneError, SolverError, StoreError
 from ..measures import CONVERGING
+from ..plan.cost import LEAST_POINTS
 from ..plan.reading import Scene
 from ..plan.refinement import at_points
 from ..progress import Progress
@@ -27,7 +26,6 @@ from .timing import SMALL
 POINTS = (500, 1000, 2000, 3500, 5000)
 REFERENCE = 16000
 KNOBS_AT = 1000
-FEWEST_POINTS = 200
 MEASURES = (*CONVERGING, "eps_p_max", "T_max_K")
 COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
@@ -69,15 +67,14 @@ def ladder_points(
 ) -> list[LadderPoint]:
     """The settings, the cheap ones first. knobs_at: points at which scheme parameters and effects are varied; None: they are not.
 
-    Raises StoreError for fewer than FEWEST_POINTS, and a reference that is not finer than the settings compared with it.
+    Raises StoreError for fewer than LEAST_POINTS, and a reference that is not finer than the settings compared with it.
     """
     for name, numbers in (("points", points), ("reference", [reference]), ("knobs-at", [knobs_at] if knobs_at else [])):
-        if numbers and min(numbers) < FEWEST_POINTS:
-            raise StoreError(f"--{name} {min(numbers)} is too coarse: give {FEWEST_POINTS} points or more")
-    if reference <= max([*points, knobs_at or 0]):
-        raise StoreError(
-            f"--reference {reference} must be finer than the settings compared with it: give more than {max([*points, knobs_at or 0])}"
-        )
+        if numbers and min(numbers) < LEAST_POINTS:
+            raise StoreError(f"--{name} {min(numbers)} is too coarse: give {LEAST_POINTS} points or more")
+    if reference <= (finest := max([*points, knobs_at or 0])):
+        text = f"--reference {reference} must be finer than the settings compared with it: give more than {finest}"
+        raise StoreError(text)
     ladder = [LadderPoint("points", f"{n} points", n) for n in sorted(set(points))]
     for axis, tried in KNOBS.items() if knobs_at else ():
         for name, change in tried.items():
@@ -133,8 +130,7 @@ def compute_missing(
 ) -> StudyTable:
     """Compute the points of the ladder that the table lacks. say(text): called with a line about each; quiet: no progress bars.
 
-    A run that was stopped by Ctrl-C continues from its checkpoint. A setting that fails, or that finished only after a retry with
-    other numerics, is a row with its reason and no measures.
+    A setting that fails, or that finished only after a retry with other numerics, is a row with its reason and no measures.
     """
     missing = [point for point in ladder if point.key not in table]
     if missing:
@@ -148,9 +144,8 @@ def compute_missing(
         except SceneError as error:  # such as elements too coarse for the crater
             row = {**dict(zip(KEY, point.key, strict=True)), "cpu_s": 0.0, "failed": "; ".join(error.problems)[:200]}
         else:
-            row = compute(
-                scene_here, point, out / "runs" / "_".join(point.key).replace(" ", "-"), Progress(quiet=quiet)
-            )
+            folder = out / "runs" / "_".join(point.key).replace(" ", "-")
+            row = compute(scene_here, point, folder, Progress(quiet=quiet))
         new = table.add(row)
         say(f"  {new['failed'] or 'finished'}, {float(new['cpu_s']):.3g} s of processor time")
     return table
@@ -158,27 +153,18 @@ def compute_missing(
 
 def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) -> dict[str, object]:
     """Run one point of the ladder; its row. folder: of the run, removed when the row is known."""
-    note, clock = folder / "spent.json", Clock()
-    before = _spent_before(note)
+    clock = Clock()
     row: dict[str, object] = {"axis": point.axis, "setting": point.name, "points": point.points}
-    start = partial(resume, folder) if any(before) else partial(run, scene, folder, force=True)
     try:
-        result = start(
-            progress=progress, threads=1, numerics=point.numerics, probe=clock.probe, checkpoint_every=math.inf
-        )
+        result = run(scene, folder, force=True, progress=progress, threads=1, numerics=point.numerics, probe=clock.probe,
+                     checkpoint_every=math.inf)  # fmt: skip
     except SolverError as problem:
         row |= {"failed": " ".join(str(problem).split())[:200]}
-    except KeyboardInterrupt:
-        folder.mkdir(parents=True, exist_ok=True)
-        note.write_text(json.dumps([clock.whole + before[0], clock.loop + before[1]]))
-        raise
     else:
         s = result.values
         row |= {name: s[name] for name in COLUMNS if name in s}
-        if (
-            s["rebound_velocity_m_s"] is None and (upwards := s["velocity_z_m_s"]) is not None
-        ):  # of a particle that is tied
-            row["rebound_velocity_m_s"] = max(upwards, 0.0)
+        if s["rebound_velocity_m_s"] is None and s["velocity_z_m_s"] is not None:  # of a particle that is tied
+            row["rebound_velocity_m_s"] = max(s["velocity_z_m_s"], 0.0)
         row |= {"points": point.points, "points_used": s["points"], "failed": ""}
         if result.undecided is not None:
             row |= dict.fromkeys(MEASURES, "") | {"failed": result.undecided[:200]}
@@ -187,16 +173,7 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
     finally:
         progress.stop()
     shutil.rmtree(folder, ignore_errors=True)
-    return row | {"cpu_s": clock.whole + before[0], "cpu_loop_s": clock.loop + before[1]}
-
-
-def _spent_before(note: Path) -> tuple[float, float]:
-    """Processor time of a run before it was stopped, and of its loop, s."""
-    try:
-        whole, loop = map(float, json.loads(note.read_text()))
-    except (OSError, ValueError, TypeError):
-        return 0.0, 0.0
-    return whole, loop
+    return row | {"cpu_s": clock.whole, "cpu_loop_s": clock.loop}
 
 
 def _warm_up(out: Path, say: Callable[[str], None]) -> None:

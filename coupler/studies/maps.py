@@ -22,7 +22,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from .. import units
 from ..errors import StoreError
-from ..files.inputs import read_text, read_toml
+from ..files.inputs import read_toml
 from ..measures import REBOUNDS, STICKS, UNDECIDED, measure
 from .runs import run_point
 from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
@@ -37,25 +37,23 @@ NARROW = 0.05  # width over middle of a bracket of the critical velocity that is
 FORMULAS = ("velocity_ratio",)  # measures that follow from the scene, without a run
 LONGEST = 3.0  # length of the interpolation over the range of an axis
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
+DIGITS = 4  # of a new point
 _ALIKE = "all runs have the same inputs: vary at least one axis"
 Place = tuple[float, ...]  # values of the axes, SI
 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """A Gaussian process through the points of a map. axes: the columns it goes over; rows: its points.
+    """A Gaussian process through the points of a map, over the columns `axes`.
 
     loo_rms: root mean square of the difference of each point from the prediction from all others; loo_inside: share of the points
     that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
     left out together, over the inner values of axes that have four or more, with two points each in the mean; spread: standard
-    deviation of the values. In units of the quantity.
-    warnings: correlation lengths that the points do not resolve, in words. _hull: (k,d+1) half spaces n, b with n x + b <= 0 inside the
-    convex hull of the points; x (d,) is scaled by _centre and _scale.
+    deviation of the values. In units of the quantity. warnings: correlation lengths that the points do not resolve, in words. _hull:
+    (k,d+1) half spaces n, b with n x + b <= 0 inside the convex hull of the points; x (d,) is scaled by _centre and _scale.
     """
 
-    quantity: str
     axes: tuple[str, ...]
-    rows: tuple[Row, ...]
     loo_rms: float
     loo_inside: float
     gap_rms: dict[str, float]
@@ -133,11 +131,11 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
             groups = [np.flatnonzero(x[:, column] == value) for value in inner]
             errors = [np.linalg.solve(inverse[np.ix_(g, g)], (inverse @ model.y_train_)[g]) for g in groups]
             gaps[name] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) * unit
-    return Interpolation(
-        quantity, names, tuple(used), float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std)),
-        gaps,
-        unit, told, model, centre, scale, _convex_hull(standard),
+    rms, inside = float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std))
+    hull = np.asarray(ConvexHull(standard).equations) if len(names) > 1 else np.array(
+        [[-1.0, float(standard.min())], [1.0, -float(standard.max())]]
     )  # fmt: skip
+    return Interpolation(names, rms, inside, gaps, unit, told, model, centre, scale, hull)
 
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
@@ -188,13 +186,6 @@ def _distances(standard: NDArray) -> NDArray:
     places = np.unique(standard.round(9), axis=0)
     nearest = float(np.quantile(KDTree(places).query(places, k=2)[0][:, 1], 0.25))
     return np.array([max(float(np.diff(np.unique(column)).min()), nearest) for column in places.T])
-
-
-def _convex_hull(x: NDArray) -> NDArray:
-    """The half spaces (k,d+1) of the convex hull of points (n,d)."""
-    if x.shape[1] == 1:
-        return np.array([[-1.0, float(x.min())], [1.0, -float(x.max())]])
-    return np.asarray(ConvexHull(x).equations)
 
 
 def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
@@ -288,7 +279,7 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
         if (place := _between(a, b, axes)) not in taken:
             differing = [k for k in range(len(axes)) if a[k] != b[k]]
             ends = [", ".join(shown(axes[k], end[k]) for k in differing) for end in (a, b)]
-            return NextPoint(_named(axes, place), f"{below} at {ends[0]}, {above} at {ends[1]}")
+            return NextPoint(dict(zip(axes, place, strict=True)), f"{below} at {ends[0]}, {above} at {ends[1]}")
     known = {tuple(float(row[axis]) for axis in axes): float(row[quantity]) for row in with_value(rows, quantity)}
     best: tuple[float, Place] = (-1.0, ())
     if fit is not None:
@@ -302,7 +293,9 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
             if (place := _between(a, b, axes)) not in taken:
                 best = max(best, (abs(known[b] - known[a]), place))
         why = ""
-    return NextPoint(_named(axes, best[1]), why) if best[1] else NextPoint({}, "it needs two neighbours with results")
+    if not best[1]:
+        return NextPoint({}, "it needs two neighbours with results")
+    return NextPoint(dict(zip(axes, best[1], strict=True)), why)
 
 
 def best_point(
@@ -342,18 +335,10 @@ def place_words(at: Mapping[str, float]) -> str:
     return ", ".join(shown(axis, value) for axis, value in at.items())
 
 
-def _named(axes: Sequence[str], place: Place) -> dict[str, float]:
-    return dict(zip(axes, place, strict=True))
-
-
 def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
-    """The middle of two places, on each axis."""
-    return tuple(p if p == q else _middle(p, q, axis) for p, q, axis in zip(a, b, axes, strict=True))
-
-
-def _middle(a: float, b: float, axis: str) -> float:
-    middle = (a * b) ** 0.5 if axis in LOGARITHMIC else 0.5 * (a + b)
-    return float(f"{middle:.4g}")
+    """The middle of two places, on each axis, to DIGITS where they differ."""
+    middles = ((p * q) ** 0.5 if axis in LOGARITHMIC else 0.5 * (p + q) for p, q, axis in zip(a, b, axes, strict=True))
+    return tuple(p if p == q else float(f"{m:.{DIGITS}g}") for p, q, m in zip(a, b, middles, strict=True))
 
 
 def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
@@ -375,28 +360,12 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
         unit = near["units"].get(key, "")
         set_key(data, key, units.show(value, unit) if unit else value)
     text = toml_text(data)
-    ordered = sorted(key for key in changes if KEYS.get(key, key) in at)  # diameter, then velocity, as a sweep
-    values = {key: (changes[key], near["units"].get(key, "")) for key in ordered}
-    point = _free_name(folder, values, near["material"], text)
-    run_point(folder, point, text)
+    words = {"particle.material": near["material"]}
+    for key in sorted(key for key in changes if KEYS.get(key, key) in at):  # diameter, then velocity, as a sweep
+        unit = near["units"].get(key, "")
+        words[key] = units.rounded(changes[key], unit, DIGITS) if unit else f"{changes[key]:.{DIGITS}g}"
+    run_point(folder, point := point_name(words), text)
     return point
-
-
-def _free_name(folder: Path, values: Mapping[str, tuple[float, str]], material: str, text: str) -> str:
-    """A short name of a point (`point_name`): three digits of each value, more where the folder holds another scene of that name.
-
-    values: key -> SI value and the unit that the scene writes. text: the scene.
-    """
-    for digits in range(3, 18):
-        words = {
-            key: units.rounded(value, unit, digits) if unit else f"{value:.{digits}g}"
-            for key, (value, unit) in values.items()
-        }
-        name = point_name({"particle.material": material, **words})
-        path = folder / f"{name}.toml"
-        if not (path.exists() or path.with_suffix("").exists()) or (path.is_file() and read_text(path) == text):
-            break
-    return name
 
 
 def varying(rows: Sequence[Row]) -> tuple[str, ...]:

@@ -54,13 +54,10 @@ def other_sets(scene: Scene) -> dict[str, str]:
 
 
 def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Callable[[str], None]) -> dict[str, Result]:
-    """Run the scenes in a folder, `jobs` at a time; those that are there are not computed again. Results by name, without those that
-    fail."""
-    points = {name.replace(" ", "_"): text for name, text in scenes.items()}
-    statuses = run_points(folder, points, jobs, log)
-    return {
-        name: Result(folder / name.replace(" ", "_")) for name in scenes if statuses[name.replace(" ", "_")] == "done"
-    }
+    """Run the scenes in a folder, `jobs` at a time, unless they are there. Results by name, without those that fail."""
+    points = {name: name.replace(" ", "_") for name in scenes}
+    statuses = run_points(folder, {points[name]: text for name, text in scenes.items()}, jobs, log)
+    return {name: Result(folder / point) for name, point in points.items() if statuses[point] == "done"}
 
 
 #: choice of the model, and folder of its runs in that of the run -> the other scenes, and why there are none

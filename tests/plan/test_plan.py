@@ -15,7 +15,7 @@ from coupler.errors import StoreError
 from coupler.physics.materials import Material, material
 from coupler.plan import cost as estimates
 from coupler.plan import effects
-from coupler.plan.forecast import forecast
+from coupler.plan.forecast import Forecast, forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text, read_plan
@@ -105,10 +105,18 @@ def test_cost_grows_with_the_splats_that_join():
     assert three.memory - one.memory == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
     later = two.steps[1]  # on a splat: smaller steps, and another metal under it
     assert later > one.steps[0]
-    assert three.steps == (*two.steps, later)
+    assert three.steps == [*two.steps, later]
     added = [two.whole - one.whole, three.whole - two.whole]
     assert one.whole < min(added)  # the second brings the closing stage with its own pause
     assert one.target_load < two.target_load < three.target_load
+
+
+def times_of(expected: Forecast, elements: int) -> tuple[list[float], list[float]]:
+    """Time (s) of the steps of each impact, and of what lies between it and the next."""
+    whole = expected.whole - estimates.run_time(elements) + estimates.SECONDS_PER_RUN
+    begins, own = ([whole * share for share in column] for column in zip(*expected.shares, strict=True))
+    ends = [*begins[1:], whole - estimates.SECONDS_PER_RUN]
+    return own, [end - begin - steps for begin, steps, end in zip(begins, own, ends, strict=True)]
 
 
 def test_what_lies_between_impacts_costs_time():
@@ -117,15 +125,11 @@ def test_what_lies_between_impacts_costs_time():
     E, splat = plain.target.elements_estimate, plain.impact.splat_elements
     for made, closed in ((plain, False), (cold, True)):
         expected = forecast(made)
-        assert expected.met == (E, E + splat)
-        (first, own), (second, last) = expected.shares
-        between = expected.between
-        whole = expected.whole - estimates.run_time(E) + estimates.SECONDS_PER_RUN
-        assert (own + last) * whole == pytest.approx(sum(expected.looped))
-        end = second + last + (between[1] + estimates.SECONDS_PER_RUN) / whole
-        assert (first, end) == (0.0, pytest.approx(1.0))
-        assert (second - own) * whole == pytest.approx(between[0])
-        assert (between[1] > 0.0) == closed
+        own, between = times_of(expected, E)
+        for time, steps, met in zip(own, expected.steps, (E, E + splat), strict=True):
+            assert time == pytest.approx(estimates.step_time(steps, made.impact.points, met, made.engine))
+        assert expected.shares[0][0] == 0.0
+        assert between[1] > 0.1 if closed else between[1] == pytest.approx(0.0, abs=1e-9)
         assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if made.effects.cooling else 0.0)
 
 
@@ -136,8 +140,12 @@ def test_impacts_on_cuts_cost_what_is_in_their_window_and_one_pause_for_a_batch(
         forecast(replace(made, effects=replace(made.effects, cooling=on), ambient=None)) for on in (True, False)
     )
     assert max(each.stop - each.first for each in made.batches) > 1
-    assert max(hot.computed) < 0.5 * hot.met[0] < min(hot.met)
-    paused = [i for i, (a, b) in enumerate(zip(cooled.between, hot.between, strict=True)) if a > b]
+    E = made.target.elements_estimate
+    on_all = forecast(replace(made, impacts=tuple(replace(impact, window=np.inf) for impact in made.impacts)))
+    (_, with_pauses), (own, between), (of_all, _) = (times_of(expected, E) for expected in (cooled, hot, on_all))
+    elements = estimates.SECONDS_PER_ELEMENT * E  # of a step on the whole target
+    assert all(b - a > 0.5 * n * elements for a, b, n in zip(own, of_all, hot.steps, strict=True))
+    paused = [i for i, (a, b) in enumerate(zip(with_pauses, between, strict=True)) if a > b + 1e-9]
     assert paused == [each.stop - 1 for each in made.batches[:-1]]  # the last needs none
 
 

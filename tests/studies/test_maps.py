@@ -279,14 +279,12 @@ def test_points_without_a_value_stand_on_the_lower_edge(tmp_path, capsys, figure
     assert np.asarray(crosses.get_offsets()) == pytest.approx(np.array([[v, at.get_ylim()[0]] for v in (300, 600)]))
 
 
-def test_a_short_name_that_is_taken_gets_more_digits(tmp_path, monkeypatch) -> None:
+def test_a_new_point_is_named_by_all_digits_of_its_place(tmp_path, monkeypatch) -> None:
     rows = table(made(tmp_path, Sweep.from_dict(points())))
     kept = []
     monkeypatch.setattr("coupler.studies.maps.run_point", lambda folder, name, text: kept.append(name))
     run_next(tmp_path, rows, {"velocity_m_s": 529.2, "diameter_m": 1.581e-5})
-    (tmp_path / "Ni_15.8um_529ms.toml").write_text("another scene")
-    run_next(tmp_path, rows, {"velocity_m_s": 529.2, "diameter_m": 1.581e-5})
-    assert kept == ["Ni_15.8um_529ms", "Ni_15.81um_529.2ms"]
+    assert kept == ["Ni_15.81um_529.2ms"]
 
 
 def test_a_formula_needs_no_run(tmp_path, capsys, monkeypatch) -> None:
@@ -407,7 +405,7 @@ def test_refine_runs_the_point_that_tells_most(tmp_path, capsys, monkeypatch) ->
     assert "7 points" not in said.splitlines()[0]
     assert "8 points: 8 done" in said
     assert scenes[0].particle.velocity == pytest.approx(670.8)
-    assert (tmp_path / "Ni_25um_671ms.toml").is_file()
+    assert (tmp_path / "Ni_25um_670.8ms.toml").is_file()
     for scene in scenes:
         assert scene.substrate.diameter == pytest.approx(8 * scene.particle.diameter)
         assert scene.substrate.height == pytest.approx(4 * scene.particle.diameter)
