@@ -92,7 +92,7 @@ def errors(splats: Sequence[Splat]) -> dict[str, list[str]]:
 def reasons(rows: Sequence[Row], splats: Sequence[Splat]) -> dict[str, str]:
     """Why a row of the table differs, by the start of its name."""
     spread = [number(row, "flattening_end") for row in rows if row["run"].startswith("A-")]
-    over = [column(_scattered(k), "flattening_end") for k in "123"]
+    over = [column(scattered(k), "flattening_end") for k in "123"]
     low, high = ([f"{f(values):.2f}" for values in over] for f in (np.nanmin, np.nanmax))
     of = {splat.name[:2]: splat.row for splat in splats}
     first, before = of["A:"], number(of["C1"], "flattening_own")
@@ -190,7 +190,7 @@ def cost(rows: Sequence[Row]) -> list[str]:
     return [f"Cost: {'; '.join(texts)}. The paper uses {fewer:.0f} times as many points and elements."]
 
 
-def _scattered(impact: str) -> list[Row]:
+def scattered(impact: str) -> list[Row]:
     """The rows of one impact of case D over velocities and misalignments."""
     rows = [row for row in table_rows("validation_scatter") if row["impact"] == impact and not row["failed"]]
     return [row for row in rows if number(row, "thickness_um_end") > 0.0]
@@ -200,7 +200,7 @@ def scatter(splats: Sequence[Splat]) -> list[str]:
     """How many runs of the scatter of case D reach the measured splats."""
     texts = []
     for splat in (s for s in splats if s.name.startswith("D")):
-        ratios, measured = np.array([ratio_of(row) for row in _scattered(splat.name[1])]), splat.ratio["experiment"]
+        ratios, measured = np.array([ratio_of(row) for row in scattered(splat.name[1])]), splat.ratio["experiment"]
         reached = np.sum(ratios <= measured) if measured < ratios.mean() else np.sum(ratios >= measured)
         span = f"{ratios.min():.1f} to {ratios.max():.1f}"
         texts.append(f"{splat.name[:2]} {span} (experiment {measured:.2f}, reached by {reached} runs)")
@@ -219,7 +219,7 @@ def draw(splats: Sequence[Splat], path: Path) -> None:
     axis.plot(x, [s.our_ratio for s in splats], "o", color="#1f5fa8", ms=8, label="here", **style)
     for place, splat in enumerate(splats):
         if splat.name.startswith("D"):
-            ratios = [ratio_of(row) for row in _scattered(splat.name[1])]
+            ratios = [ratio_of(row) for row in scattered(splat.name[1])]
             label = "here, over the scatter" if splat.name[1] == "1" else ""
             axis.plot(np.full(len(ratios), place + 0.22), ratios, ".", color="#1a1a1a", ms=4, alpha=0.6, label=label)
     axis.set_yscale("log")
