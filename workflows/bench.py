@@ -43,9 +43,9 @@ def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[]
     return min(times)
 
 
-def block(size: float, plastic: bool) -> Target:
+def block(plastic: bool) -> Target:
     """A cube of SS304 of about 20 000 tetrahedra that twists, slowly or fast."""
-    m = mesh.prepare(*mesher.box((1e-4, 1e-4, 1e-4), size))
+    m = mesh.prepare(*mesher.box((1e-4, 1e-4, 1e-4), 4.2e-6))
     target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), track_wave=False)
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01
@@ -65,7 +65,7 @@ def step(target: Target, dt: float) -> None:
 def elements(rows: list[tuple[str, float, str]]) -> None:
     """Microseconds per element and step."""
     for plastic in (False, True):
-        target = block(4.2e-6, plastic)
+        target = block(plastic)
         dt = 0.3 * target.stable_dt()[0]
         seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS) / STEPS
         name = f"tet4 {'plastic' if plastic else 'elastic'}"
@@ -79,7 +79,7 @@ def elements(rows: list[tuple[str, float, str]]) -> None:
             rows.append((f"{name}, one thread over two", one / wall(), "of wall time"))
         if plastic:
             rows.append(("share of elements that flow", float(np.mean(target.elements.rate > 0)), ""))
-    rows.append(("scikit-fem forms for the same forces", forms(block(4.2e-6, False)), "us per element and step"))
+    rows.append(("scikit-fem forms for the same forces", forms(block(False)), "us per element and step"))
 
 
 def forms(target: Target) -> float:
@@ -100,22 +100,18 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
 
     What slows down one slows down the others. The passes of the default engine also on two threads, in wall time.
     """
-
-    def free() -> None:
-        """No forces from outside."""
-
     cloud, volume = packing.sphere(25e-6, count)
     law = law_record(material("Ni"), rate_filter=5e-10)
     particles = {name: engine(cloud, volume, law, (0.0, 0.0, 0.0), 300.0) for name, engine in ENGINES.items()}
     for p in particles.values():
         p.points.v[:] = p.X * np.array([4e7, 3e7, -7e7])
         p.points.vest[:] = p.points.v
-        p.run(80, 1e-11, free)
+        p.run(80, 1e-11, lambda: None)
     steps = max(STEPS, 40_000 // len(cloud))
     times = {name: np.inf for name in particles}
     for _ in range(REPEATS):
         for name, p in particles.items():
-            times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, free), 1))  # type: ignore[misc]
+            times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, lambda: None), 1))  # type: ignore[misc]
     default = particles["enriched"]
     n, unit = len(cloud), "us per point and step"
     for name, seconds in times.items():

@@ -13,19 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import (
-    PAGES,
-    ROOT,
-    TABLES,
-    figure_path,
-    markdown,
-    number,
-    options,
-    study_table,
-    versions,
-    write_parts,
-    write_table,
-)
+from pages import EVIDENCE, ROOT, TABLES, markdown, number, options, study_table, write_parts, write_table
 
 from coupler import Scene
 from coupler.files.result import Result
@@ -43,7 +31,7 @@ KEY = COLUMNS[:8]
 
 @dataclass(frozen=True)
 class Case:
-    """A scene (`scene_of`) at some velocities (m/s)."""
+    """A scene at some velocities (m/s)."""
 
     name: str
     velocities: tuple[float, ...]
@@ -73,15 +61,29 @@ class Case:
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
-        size, temperature, film, alpha, v = (
-            f"{x:g}" for x in (self.size, self.temperature, self.film, self.alpha, velocity)
-        )
-        return self.metal, size, temperature, film, self.set, alpha, self.preset, v
+        size, temperature, film, alpha = (f"{x:g}" for x in (self.size, self.temperature, self.film, self.alpha))
+        return self.metal, size, temperature, film, self.set, alpha, self.preset, f"{velocity:g}"
 
     @property
     def scene(self) -> Scene:
-        """The scene; its velocity is that of the workflow."""
-        return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength, self.alpha)
+        """workflows/critical_NAME.toml with these values, its target in the same ratio to the particle."""
+        data = data_of(self.name)
+        data["preset"] = self.preset
+        own = float(data["particle"]["diameter"].split()[0])
+        for table, keys in (("particle", ("diameter",)), ("substrate", ("diameter", "height"))):
+            for key in keys:
+                data[table][key] = f"{float(data[table][key].split()[0]) * self.size / own:g} um"
+        data["particle"]["temperature"] = f"{self.temperature:g} K"
+        metal = data["particle"]["material"]
+        changes = data.setdefault("materials", {}).setdefault(metal, {})
+        changes["taylor_alpha"] = self.alpha
+        if self.strength:
+            changes["strength"] = self.strength
+        if self.film != 1.0:
+            changes["oxide_strength"] = f"{self.film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
+        title = f"{self.name}_{self.size:g}um_{self.temperature:g}K_{self.film:g}_{self.preset}"
+        title += (f"_{self.alpha:g}" if self.alpha else "") + (f"_{self.strength}" if self.strength else "")
+        return Scene.from_dict(data, title.replace(".", "p"))  # a name ends at its first point
 
 
 ALPHA = 0.35  # Taylor's coefficient of the workflows (docs/theory/material.md)
@@ -132,36 +134,6 @@ def data_of(name: str) -> dict[str, Any]:
     return tomllib.loads((ROOT / "workflows" / f"critical_{name}.toml").read_text())
 
 
-def scene_of(
-    name: str,
-    size: float,
-    temperature: float = 300.0,
-    film: float = 1.0,
-    preset: str = "draft",
-    strength: str = "",
-    alpha: float = 0.0,
-) -> Scene:
-    """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, strength
-    of the oxide film (factor), preset, strength set (that of the workflow by default) and taylor_alpha."""
-    data = data_of(name)
-    data["preset"] = preset
-    own = float(data["particle"]["diameter"].split()[0])
-    for table, keys in (("particle", ("diameter",)), ("substrate", ("diameter", "height"))):
-        for key in keys:
-            data[table][key] = f"{float(data[table][key].split()[0]) * size / own:g} um"
-    data["particle"]["temperature"] = f"{temperature:g} K"
-    metal = data["particle"]["material"]
-    changes = data.setdefault("materials", {}).setdefault(metal, {})
-    changes["taylor_alpha"] = alpha
-    if strength:
-        changes["strength"] = strength
-    if film != 1.0:
-        changes["oxide_strength"] = f"{film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
-    title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}" + (f"_{alpha:g}" if alpha else "")
-    title = f"{title}_{strength}" if strength else title
-    return Scene.from_dict(data, title.replace(".", "p"))  # a name ends at its first point
-
-
 def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:
     """One run: energies over all the area that bonded."""
     scene = case.scene
@@ -186,7 +158,7 @@ def placed_rows(name: str, preset: str, velocity: float, runs: Path) -> list[dic
     """Runs of several placements: margin and energy that bonds have dissipated, over the section of the particle; no margin of a run
     without a verdict."""
     metal, size = METALS[name]
-    scene = scene_of(name, size, preset=preset)
+    scene = Case(name, (), preset).scene
     folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
     rows = []
     for k, row in enumerate(rows_at(scene, velocity, folder, PLACEMENTS)):
@@ -228,18 +200,15 @@ def critical_part(lines: list[dict[str, object]], rows: list[Row]) -> list[str]:
 
     fine = [r for r in lines if r["preset"] == "fine"]
     usual = {metal: data_of(name)["materials"][metal]["strength"] for name, metal in (("ni", "Ni"), ("cu", "OFHC_Cu"))}
-    columns = {
-        "without gradients": ("0", True),
-        "with gradients": (f"{ALPHA:g}", True),
-        "with gradients and a rate": (f"{ALPHA:g}", False),
-    }
+    with_, words_of = f"{ALPHA:g}", ("without gradients", "with gradients", "with gradients and a rate")
+    columns = dict(zip(words_of, (("0", True), (with_, True), (with_, False)), strict=True))
     table = []
     for metal, size in sorted({(str(r["metal"]), float(str(r["diameter_um"]))) for r in fine}):
         own = [r for r in fine if (r["metal"], float(str(r["diameter_um"]))) == (metal, size)]
         found = {(r["taylor_alpha"], r["strength"] == usual[metal]): words(r) for r in own}
         measured = f"{MEASURED_CRITICAL[metal, size]:g}" if (metal, size) in MEASURED_CRITICAL else "-"
         table.append([f"{metal} {size:g} µm", *(found.get(key, "-") for key in columns.values()), measured])
-    return [*markdown(["critical velocity, m/s", *columns, "measured"], table), "", versions(rows)]
+    return markdown(["critical velocity, m/s", *columns, "measured"], table, rows)
 
 
 def draw(rows: list[Row]) -> None:
@@ -254,20 +223,17 @@ def draw(rows: list[Row]) -> None:
         for alpha, colour, mark in ((ALPHA, "#0072b2", "s-"), (0.0, "#d55e00", "^:")):
             case, words = Case(name, (), "fine", alpha=alpha), "gradients harden" if alpha else "no gradients"
             own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == case.key(0.0)[:-1]]
-            points = sorted(
-                (number(row, "velocity_m_s"), float(row["restitution"])) for row in own if row["restitution"]
-            )
+            points = sorted((number(r, "velocity_m_s"), float(r["restitution"])) for r in own if r["restitution"])
             axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {words}")
             found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
             if found.low is not None and found.high is not None:
-                axes.axvspan(
-                    found.low, found.high, color=colour, alpha=0.2, lw=0, label=f"computed critical velocity, {words}"
-                )
+                label = f"computed critical velocity, {words}"
+                axes.axvspan(found.low, found.high, color=colour, alpha=0.2, lw=0, label=label)
         axes.set(title=title, xlabel="velocity of impact (m/s)", ylim=(-0.003, None))
         axes.set_ylabel("coefficient of restitution" if name == "ni" else "")
         if name == "cu":
             axes.legend(fontsize=7, loc="upper right")
-    save(figure, figure_path("bonding", "critical.png"))
+    save(figure, EVIDENCE / "critical.png")
 
 
 def main() -> None:
@@ -292,7 +258,7 @@ def main() -> None:
         "strength: strength set of the metal; taylor_alpha: of its hardening by gradients of plastic strain, 0 for none"
     )
     write_table(TABLES / "critical_velocity.csv", lines, about)
-    write_parts(PAGES["bonding"], {"critical": critical_part(lines, table.rows)})
+    write_parts("bonding", {"critical": critical_part(lines, table.rows)})
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothi
 """
 
 import numpy as np
-from pages import PAGES, ROOT, column, computed, options, study_table, table_rows, versions, write_parts
+from pages import ROOT, column, computed, options, study_table, table_rows, versions, write_parts
 
 from coupler import Scene
 from coupler.studies import coating
@@ -21,12 +21,9 @@ MEASURES = {  # column: name and unit of its change
 
 def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
     """The coating of a seed on a substrate, um; stresses are means over the volume of the splats within RADIUS."""
-    settings = {
-        "coating.seed": f"{seed}",
-        "substrate.diameter": f'"{diameter} um"',
-        "substrate.height": f'"{height} um"',
-    }
-    scene = Scene.load(ROOT / "workflows" / "coating_size.toml", tuple(settings.items()))
+    size = {"substrate.diameter": f'"{diameter} um"', "substrate.height": f'"{height} um"'}
+    settings = (("coating.seed", f"{seed}"), *size.items())
+    scene = Scene.load(ROOT / "workflows" / "coating_size.toml", settings)
     with computed(scene) as (result, cpu):
         measures = coating.measure(coating.read(result), RADIUS)
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
@@ -43,9 +40,8 @@ def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
 def lines() -> list[str]:
     """A sentence: the mean changes from the small to the large substrate, with their standard errors."""
     rows = table_rows("coating_size_seeds")
-    small, large = (
-        sorted((r for r in rows if r["diameter_um"] == f"{d}"), key=lambda r: int(r["seed"])) for d, _ in SIZES
-    )
+    rows_in_order = sorted(rows, key=lambda row: int(row["seed"]))
+    small, large = ([row for row in rows_in_order if row["diameter_um"] == f"{d}"] for d, _ in SIZES)
     pairs = min(len(small), len(large))
     changes = []
     for name, (label, unit) in MEASURES.items():
@@ -66,7 +62,7 @@ def main() -> None:
         for diameter, height in SIZES:
             if (str(seed), str(diameter)) not in table:
                 print(table.add(row_of(seed, diameter, height)), flush=True)
-    write_parts(PAGES["coating"], {"size": lines()})
+    write_parts("coating", {"size": lines()})
 
 
 if __name__ == "__main__":

@@ -15,19 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import (
-    PAGES,
-    column,
-    computed,
-    figure_path,
-    markdown,
-    number,
-    options,
-    study_table,
-    table_rows,
-    versions,
-    write_parts,
-)
+from pages import EVIDENCE, column, computed, failed, markdown, number, options, study_table, write_parts
 
 from coupler import Result, Scene
 from coupler.errors import ColdsprayError, SolverError
@@ -139,7 +127,7 @@ def row_of(case: Case) -> dict[str, object]:
                 raise SolverError(result.undecided)
             return row | values_of(result, case) | {"cpu_s": cpu, "failed": ""}
     except ColdsprayError as problem:
-        return row | {"failed": " ".join(str(problem).split())[:200]}
+        return row | failed(problem)
 
 
 def values_of(result: Result, case: Case) -> dict[str, object]:
@@ -182,11 +170,8 @@ def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
     for name, metal in MEASURED["metals"].items():
         for velocity, density, stress, error in MEASURED[name]:
             chosen = metal, f"{velocity:g}", str(POINTS), str(NUMBER)
-            own = [
-                r
-                for r in rows
-                if (r["metal"], r["velocity_m_s"], r["points"], r["number"]) == chosen and not r["failed"]
-            ]
+            done = [r for r in rows if not r["failed"]]
+            own = [r for r in done if (r["metal"], r["velocity_m_s"], r["points"], r["number"]) == chosen]
             usual = [r for r in own if r["strength"] == MEASURED["strength"][metal]]
             nominal = [r for r in usual if r["diameter_um"] == size]
             values = ((float(column(nominal, key).mean()), column(usual, key)) for key in ("stress_MPa", "density"))
@@ -199,16 +184,13 @@ def lines(rows: Sequence[Row]) -> list[str]:
     table = []
     for c in comparisons(rows):
         stress, error, density = c.measured
-        bands = (
-            f"{mean:.{n}f} ({all_.min():.{n}f} to {all_.max():.{n}f})"
-            for n, (mean, all_) in enumerate((c.stress, c.density))
-        )
-        of_stress, of_density = bands
+        both = enumerate((c.stress, c.density))
+        of_stress, of_density = (f"{mean:.{n}f} ({all_.min():.{n}f} to {all_.max():.{n}f})" for n, (mean, all_) in both)
         others = (f"{c.others[name]:.0f}" if name in c.others else "-" for name in MEASURED["other_strength"])
         table.append([c.name, f"{c.velocity:g}", f"{stress} ± {error}", of_stress, *others, density, of_density])
     sets = (name.replace("_", " ") for name in MEASURED["other_strength"])
     head = ["coating", "m/s", "stress measured (MPa)", "computed", *sets, "density measured (%)", "computed"]
-    return [*markdown(head, table), "", versions(rows)]
+    return markdown(head, table, rows)
 
 
 def draw(rows: Sequence[Row]) -> None:
@@ -228,7 +210,7 @@ def draw(rows: Sequence[Row]) -> None:
         axes.set(title=title, xlabel="measured", ylabel="computed" if of == "stress" else "")
         if of == "stress":
             axes.legend(fontsize=7, loc="upper left")
-    save(figure, figure_path("coating_stress", "coating_al.png"))
+    save(figure, EVIDENCE / "coating_al.png")
 
 
 def main() -> None:
@@ -239,9 +221,8 @@ def main() -> None:
         if case.key not in table:
             row = table.add(row_of(case))
             print({name: row[name] for name in (*KEY, "stress_MPa", "density", "cpu_s", "failed")}, flush=True)
-    rows = table_rows("coating_al")
-    draw(rows)
-    write_parts(PAGES["coating_stress"], {"aluminium": lines(rows)})
+    draw(table.rows)
+    write_parts("coating_stress", {"aluminium": lines(table.rows)})
 
 
 if __name__ == "__main__":

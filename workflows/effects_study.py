@@ -14,18 +14,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pages import (
-    PAGES,
-    computed,
-    markdown,
-    number,
-    options,
-    single_impact,
-    spacing_of,
-    study_table,
-    versions,
-    write_parts,
-)
+from pages import computed, markdown, number, options, single_impact, spacing_of, study_table, write_parts
 
 from coupler import Scene
 from coupler.impact.domains import build_domains
@@ -37,7 +26,6 @@ from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable
 
-Effects = str | list[str]
 STUDY_COLUMNS = ("scene", "effect", "number", *CONVERGING)
 PROOF_COLUMNS = ("scene", "cpu_all_s", "cpu_auto_s", "ratio", "left_out")
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
@@ -111,30 +99,19 @@ def compute(text: str) -> dict[str, float]:
     return values | {"cpu_s": cpu}
 
 
-def changes(values: Mapping[str, float], whole: Mapping[str, float]) -> dict[str, float]:
-    """Change of each measure in percent of what it is with everything on; nan where that is 0."""
-    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
-
-
 def study(table: StudyTable) -> None:
     """Leave out one effect at a time."""
     for name, (text, effects) in STUDIES.items():
         if wanted := [effect for effect in effects if (name, effect) not in table]:
-            numbers, base = numbers_of(text), ["all", f"+{GRADIENTS}"] if GRADIENTS in effects else ["all"]
-            whole = compute(with_effects(text, base))
+            base = ["all", f"+{GRADIENTS}"] if GRADIENTS in effects else ["all"]
+            numbers = {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
+            whole = compute(f"effects = {json.dumps(base)}\n{text}")
             for effect in wanted:
-                values = compute(with_effects(text, [*base, f"-{effect}"]))
+                values = compute(f"effects = {json.dumps([*base, f'-{effect}'])}\n{text}")
                 row = {"scene": name, "effect": effect, "number": f"{numbers[effect]:.4g}"}
-                print(table.add({**row, **changes(values, whole)}), flush=True)
-
-
-def numbers_of(text: str) -> dict[str, float]:
-    """The number of each effect."""
-    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
-
-
-def with_effects(text: str, effects: Effects) -> str:
-    return f"effects = {json.dumps(effects)}\n{text}"
+                # in percent of what it is with everything on; nan where that is 0
+                changes = {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
+                print(table.add({**row, **changes}), flush=True)
 
 
 def least_of(scenes: Mapping[str, str], rounds: int) -> dict[str, Sequence[float]]:
@@ -214,8 +191,8 @@ def write(influence: list[Row], against: list[Row]) -> None:
     everywhere = [name for name in NAMES if all(name in names for names in out)]
     saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", ", ".join(name for name in names if name not in everywhere) or "-"]
              for row, names in zip(against, out, strict=True)]  # fmt: skip
-    write_parts(PAGES["effects"], {
-        "table": [*markdown(head, lines), "", versions(influence)],
+    write_parts("effects", {
+        "table": markdown(head, lines, influence),
         "proof": [*markdown(f"scene | time, everything over auto | left out beside {' and '.join(everywhere)}", saved), "", median],
     })  # fmt: skip
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pages import PAGES, computed, number, options, study_table, versions, write_parts
+from pages import computed, number, options, study_table, versions, write_parts
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -238,7 +238,7 @@ def main() -> None:
                 failed = str(problem)[:100]
             cpu = round(time.process_time() - began, 1)
             print(table.add({**dict(zip(KEY, key, strict=True)), **row, "cpu_s": cpu, "failed": failed}), flush=True)
-    write_parts(PAGES["accuracy"], {"element particle": part(table.rows)})
+    write_parts("accuracy", {"element particle": part(table.rows)})
 
 
 if __name__ == "__main__":

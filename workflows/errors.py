@@ -8,13 +8,13 @@ Rows in the table are not computed again; --presets draft standard leaves out th
 """
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import NullFormatter
-from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, versions, write_parts
+from pages import EVIDENCE, ROOT, column, markdown, number, options, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.core.executors import executor
@@ -27,7 +27,7 @@ from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.report.picture import blank, save
 from coupler.studies.ladder import spent
-from coupler.studies.table import Row, StudyTable
+from coupler.studies.table import Row
 
 # particle, um, m/s, degrees, substrate, shape: every metal of the library; soft on hard, hard on soft, alike
 SCENES = (
@@ -63,26 +63,23 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def name_of(case: tuple[str, float, float, float, str, str]) -> str:
+Case = tuple[str, float, float, float, str, str]
+
+
+def name_of(case: Case) -> str:
     metal, D, v, angle, base, shape = case
     more = (f" at {angle:g} deg" if angle else "") + (f", {shape}" if shape != "sphere" else "")
     return f"{metal} {D:g} um on {base} {v:g} m/s{more}"
 
 
-def scene_of(case: tuple[str, float, float, float, str, str], preset: str) -> Scene:
-    metal, D, v, angle, base, shape = case
-    particle = (
-        f'material = "{metal}"\ndiameter = "{D} um"\nvelocity = "{v} m/s"\nangle = "{angle} deg"\nshape = "{shape}"\n'
-    )
-    substrate = f'material = "{base}"\ndiameter = "{8 * D} um"\nheight = "{4 * D} um"\n'
-    text = f'preset = "{preset}"\n[particle]\n{particle}[substrate]\n{substrate}[output]\nat = "ends"\n'
-    return Scene.from_text(text, "errors")
-
-
-def compute(case: tuple[str, float, float, float, str, str], preset: str) -> dict[str, object]:
+def compute(case: Case, preset: str) -> dict[str, object]:
     """The row of a scene at a preset: its measures and errors, and the processor time of the run and of its coarser ones."""
     row: dict[str, object] = {"scene": name_of(case), "preset": preset}
-    scene = scene_of(case, preset)
+    metal, D, v, angle, base, shape = case
+    particle = dict(material=metal, diameter=f"{D} um", velocity=f"{v} m/s", angle=f"{angle} deg", shape=shape)
+    substrate = {"material": base, "diameter": f"{8 * D} um", "height": f"{4 * D} um"}
+    table = {"preset": preset, "particle": particle, "substrate": substrate, "output": {"at": "ends"}}
+    scene = Scene.from_dict(table, "errors")
     with tempfile.TemporaryDirectory() as place:
         folder, start = Path(place) / "run", spent()
         try:
@@ -98,20 +95,6 @@ def compute(case: tuple[str, float, float, float, str, str], preset: str) -> dic
         row |= {f"{key} error": entry["half_width"] for key, entry in result.errors.items()}
         row["failed"] = (result.undecided or "")[:150]
     return row
-
-
-def table() -> StudyTable:
-    return study_table("errors", COLUMNS, ("scene", "preset"), "python workflows/errors.py")
-
-
-def missing(
-    known: StudyTable, presets: Sequence[str]
-) -> Iterator[tuple[tuple[str, float, float, float, str, str], str]]:
-    """The runs that the table lacks, the cheap ones first."""
-    for preset in PRESETS:
-        for case in SCENES:
-            if preset in presets and (name_of(case), preset) not in known:
-                yield case, preset
 
 
 def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float]]:
@@ -151,18 +134,10 @@ def table_part(rows: Sequence[Row]) -> list[str]:
             cells += [f"{100.0 * float(np.median([pair[k] for pair in own])):.2g} %" if own else "-" for k in (0, 1)]
             cells.append(f"{sum(off <= error for error, off in own)} of {len(own)}" if own else "-")
         lines.append(cells)
-    head = [
-        "measure",
-        *(f"{preset}: {text}" for preset in PRESETS[:2] for text in ("printed error", "fine off", "fine within")),
-    ]
+    texts = (f"{preset}: {text}" for preset in PRESETS[:2] for text in ("printed error", "fine off", "fine within"))
     failed = [f"{row['scene']}, {row['preset']}: {row['failed']}" for row in rows if row["failed"]]
-    return [
-        *markdown(head, lines),
-        "",
-        f"Failed: {'; '.join(failed)}." if failed else "No run failed.",
-        "",
-        versions(rows),
-    ]
+    told = f"Failed: {'; '.join(failed)}." if failed else "No run failed."
+    return [*markdown(["measure", *texts], lines), "", told, "", versions(rows)]
 
 
 def time_part(rows: Sequence[Row]) -> list[str]:
@@ -172,15 +147,10 @@ def time_part(rows: Sequence[Row]) -> list[str]:
     texts = []
     for preset in PRESETS:
         seconds, error, off = (np.array([of[preset][scene][k] for scene in common]) for k in range(3))
-        told = (
-            f", {np.nanmedian(off):.1f} % from `fine` (printed error {np.nanmedian(error):.1f} %)"
-            if preset != "fine"
-            else ""
-        )
-        texts.append(f"`{preset}` {np.median(seconds):.0f} s{told}")
-    cost = [
-        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["preset"] == "standard" and r["error_cpu_s"]
-    ]
+        told = f", {np.nanmedian(off):.1f} % from `fine` (printed error {np.nanmedian(error):.1f} %)"
+        texts.append(f"`{preset}` {np.median(seconds):.0f} s{told if preset != 'fine' else ''}")
+    standard = [r for r in rows if r["preset"] == "standard" and r["error_cpu_s"]]
+    cost = [number(r, "error_cpu_s") / number(r, "cpu_s") for r in standard]
     return [
         f"Medians over the {len(common)} scenes that have all three: {'; '.join(texts)}. The coarser runs that measure the error take"
         f" {100 * np.median(cost):.0f} % of the time of a run at `standard`."
@@ -193,15 +163,13 @@ def draw(rows: Sequence[Row]) -> None:
     left, right = figure.subplots(1, 2)
     coarse, standard = (by_scene(rows, preset) for preset in PRESETS[:2])
     for scene in set(coarse) & set(standard):
-        left.loglog(
-            *([values[k] for values in (coarse[scene], standard[scene])] for k in (0, 2)), "-", color="0.8", lw=0.8
-        )
+        pair = coarse[scene], standard[scene]
+        left.loglog(*([values[k] for values in pair] for k in (0, 2)), "-", color="0.8", lw=0.8)
     for preset, of, colour in zip(PRESETS, (coarse, standard), ("C1", "C2"), strict=False):
         seconds, _, off = np.array(list(of.values())).T
         left.loglog(seconds, off, ".", color=colour, alpha=0.6)
-        left.loglog(
-            np.median(seconds), np.nanmedian(off), "D", color=colour, ms=9, mec="k", label=f"{preset} (diamond: median)"
-        )
+        middle, label = (np.median(seconds), np.nanmedian(off)), f"{preset} (diamond: median)"
+        left.loglog(*middle, "D", color=colour, ms=9, mec="k", label=label)
         found = np.array([pair for key in CONVERGING for pair in pairs(rows, preset, key)]).T * 100.0
         right.loglog(found[1], found[0], ".", color=colour, label=preset, alpha=0.7)
     ends = (0.01, 300.0)
@@ -219,39 +187,35 @@ def draw(rows: Sequence[Row]) -> None:
             scale.set_minor_formatter(NullFormatter())
     left.set_xticks((2, 5, 10, 20, 50, 100))
     left.set_yticks((1, 2, 5, 10, 20))
-    save(figure, figure_path("accuracy", "errors.png"))
+    save(figure, EVIDENCE / "errors.png")
 
 
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
     """Median error over the value at `draft`, for `coupler.plan.refinement.FORECAST`."""
     shares = {}
+    draft = [row for row in rows if row["preset"] == "draft"]
     for key in (key for key in CONVERGING if has_error(key, FORECAST_AT)):
-        own = [
-            (number(r, f"{key} error"), abs(number(r, key) - record(key).initial(300.0)))
-            for r in rows
-            if r["preset"] == "draft"
-        ]
-        shares[key] = float(
-            f"{np.median([error / whole for error, whole in own if np.isfinite(error) and whole > 0.0]):.2g}"
-        )
+        error, whole = column(draft, f"{key} error"), np.abs(column(draft, key) - record(key).initial(300.0))
+        shares[key] = float(f"{np.nanmedian(error[whole > 0.0] / whole[whole > 0.0]):.2g}")
     return shares
 
 
 def main() -> None:
     a = options(__doc__, "docs", jobs=1, presets=list(PRESETS))
-    known = table()
-    wanted = [] if a.docs else list(missing(known, a.presets))
+    known = study_table("errors", COLUMNS, ("scene", "preset"), "python workflows/errors.py")
+    asked = [(case, preset) for preset in PRESETS for case in SCENES if preset in a.presets and not a.docs]
+    wanted = [(case, preset) for case, preset in asked if (name_of(case), preset) not in known]
     if wanted:
         with executor("processes", a.jobs, ROOT / "runs") as pool:
             for future in as_completed([pool.submit(compute, *each) for each in wanted]):
                 new = known.add(future.result())
                 print(new["scene"], new["preset"], f"{float(new['cpu_s'] or 'nan'):.3g} s", new["failed"], flush=True)
-        order = {(name_of(case), preset): k for k, (case, preset) in enumerate((c, p) for c in SCENES for p in PRESETS)}
-        known.rows.sort(key=lambda row: order.get((row["scene"], row["preset"]), len(order)))
+        order = [(name_of(case), preset) for case in SCENES for preset in PRESETS]
+        known.rows.sort(key=lambda row: order.index((row["scene"], row["preset"])))
         known.write()
     print("FORECAST =", forecast(known.rows))
     draw(known.rows)
-    write_parts(PAGES["accuracy"], {"time": time_part(known.rows), "errors": table_part(known.rows)})
+    write_parts("accuracy", {"time": time_part(known.rows), "errors": table_part(known.rows)})
 
 
 if __name__ == "__main__":

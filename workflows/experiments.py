@@ -8,22 +8,31 @@ splats_4340.csv that is not computed again. Nothing is fitted.
 """
 
 import math
-import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import PAGES, column, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
+from pages import (
+    EVIDENCE,
+    column,
+    computed,
+    failed,
+    markdown,
+    number,
+    options,
+    study_table,
+    table_rows,
+    versions,
+    write_parts,
+)
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.errors import ColdsprayError
 from coupler.physics.materials import entry
-from coupler.progress import Progress
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
@@ -121,29 +130,22 @@ def splats() -> Iterator[Case]:
 
 def row_of(case: Case) -> dict[str, object]:
     """The run of a case as a row of the table."""
-    row: dict[str, object] = dict(zip(KEY, case.key, strict=True)) | {
-        "target": case.target,
-        "diameter_um": case.diameter,
-    }
+    row = dict(zip(KEY, case.key, strict=True)) | {"target": case.target, "diameter_um": case.diameter}
     scene = Scene.from_text(case.text, "experiment")
     numerics = {} if case.stiffness == 1.0 else {"contact_stiffness": case.stiffness}
-    started = process_time()
     try:
-        with tempfile.TemporaryDirectory() as place:
-            measured = case.target == SPLAT["target"]  # the error of a splat is on the page
-            result = run(
-                scene, Path(place) / "run", threads=1, numerics=numerics, progress=Progress(quiet=True), error=measured
-            )
+        # the error of a splat is on the page
+        with computed(scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
             s = result.values
     except ColdsprayError as problem:
-        return row | {"failed": " ".join(str(problem).split())[:200]}
+        return row | failed(problem)
     band_of = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
     return row | {
         "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
         "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
         "splat_diameter_um": s["splat_diameter_m"] * 1e6, "thickness_um": s["thickness_m"] * 1e6,
         "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
-        "drift": s["energy_drift"], "cpu_s": process_time() - started, "failed": "",
+        "drift": s["energy_drift"], "cpu_s": cpu, "failed": "",
     }  # fmt: skip
 
 
@@ -181,11 +183,6 @@ def band_of(rows: Sequence[Row], metal: str) -> float:
     return math.hypot(max(points, default=0.0), max(stiffness, default=0.0)) or math.nan
 
 
-def digits(value: float, places: int = 3) -> str:
-    """A number for a table, a dash for none."""
-    return f"{value:.{places}f}" if math.isfinite(value) else "-"
-
-
 def restitution_part(rows: Sequence[Row]) -> list[str]:
     """Mean errors of each set over the window, and the band of the discretisation."""
     lines = []
@@ -193,7 +190,7 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
         for name, entry_of in entry(metal).sets.items():
             found = [errors(rows, metal, name, preset)[:2] for preset in PRESETS]
             lines.append([metal, name, entry_of["law"], *(f"{rms:.3f} ({mean:+.3f})" for rms, mean in found)])
-    bands = ", ".join(f"{metal} ± {digits(band_of(rows, metal))}" for metal in METALS)
+    bands = ", ".join(f"{metal} ± {band_of(rows, metal):.3f}" for metal in METALS)
     head = ["metal", "strength set", "law", *(f"{preset}: rms (mean)" for preset in PRESETS)]
     return [*markdown(head, lines), "", f"Error of the discretisation: {bands}.", "", versions(rows)]
 
@@ -255,8 +252,8 @@ def main() -> None:
                 row = table.add(row_of(case))
                 print({key: row[key] for key in (*KEY, "restitution", "flattening", "cpu_s", "failed")}, flush=True)
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
-    draw(rebound, figure_path("experiments", "restitution_sets.png"))
-    write_parts(PAGES["experiments"], {"restitution": restitution_part(rebound), "splats": splat_part(splat)})
+    draw(rebound, EVIDENCE / "restitution_sets.png")
+    write_parts("experiments", {"restitution": restitution_part(rebound), "splats": splat_part(splat)})
 
 
 if __name__ == "__main__":

@@ -47,19 +47,15 @@ def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any
     velocity, angle = log_between(dice, 10, 2000), dice.uniform(0, 80)
     fall = 1e-3 * velocity * math.cos(math.radians(angle))  # um/ns
     table: dict[str, Any] = {
-        "material": dice.choice(MATERIALS),
-        "diameter": f"{diameter:.4g} um",
-        "velocity": f"{velocity:.4g} m/s",
-    }
+        "material": dice.choice(MATERIALS), "diameter": f"{diameter:.4g} um", "velocity": f"{velocity:.4g} m/s",
+    }  # fmt: skip
     maybe = {
-        "shape": dice.choice(SHAPES),
-        "angle": f"{angle:.4g} deg",
-        "tilt": f"{dice.uniform(-90, 90):.4g} deg",
+        "shape": dice.choice(SHAPES), "angle": f"{angle:.4g} deg", "tilt": f"{dice.uniform(-90, 90):.4g} deg",
         "temperature": f"{log_between(dice, 100, 1700):.4g} K",
         "offset": [f"{dice.uniform(-1, 1) * diameter:.4g} um" for _ in "xy"],
         "gap": f"{dice.uniform(0, 1) * min(diameter, 20.0 * diameter / 25.0 * fall):.4g} um",  # 20 ns in flight, for 25 um
         "dwell": f"{dice.uniform(0, 10):.4g} us",
-    }
+    }  # fmt: skip
     return table | {name: value for name, value in maybe.items() if dice.random() < (0.4 if alone else 0.25)}
 
 
@@ -84,12 +80,9 @@ def scene(seed: int) -> dict[str, Any]:
     spacing = min(diameters) * (math.pi / 6 / points) ** (1 / 3)
     faces = ("absorbing", "free", "fixed")
     substrate: dict[str, Any] = {
-        "material": dice.choice(MATERIALS),
-        "diameter": f"{min(largest * dice.uniform(2.9, 9), 5000):.4g} um",
-        "height": f"{min(largest * dice.uniform(1.9, 6), 5000):.4g} um",
-        "sides": dice.choice(faces),
-        "bottom": dice.choice(faces),
-    }
+        "material": dice.choice(MATERIALS), "diameter": f"{min(largest * dice.uniform(2.9, 9), 5000):.4g} um",
+        "height": f"{min(largest * dice.uniform(1.9, 6), 5000):.4g} um", "sides": dice.choice(faces), "bottom": dice.choice(faces),
+    }  # fmt: skip
     if dice.random() < 0.3:
         substrate["temperature"] = f"{log_between(dice, 100, 1500):.4g} K"
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}

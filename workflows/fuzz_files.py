@@ -121,22 +121,19 @@ def prepare(folder: Path) -> None:
     n = len(grid)
     rows = ["x,y,z,T,eps_p", *(",".join(f"{v:.6g}" for v in (*p, 300.0 + i, 0.1)) for i, p in enumerate(grid))]
     (folder / "cloud.csv").write_text("\n".join(rows) + "\n")
-    np.savez_compressed(
-        folder / "cloud.npz", points=grid * 1e-6, T=np.full(n, 400.0), stress=np.full((n, 6), 1e8), velocity=grid
-    )
+    fields = {"T": np.full(n, 400.0), "stress": np.full((n, 6), 1e8), "velocity": grid}
+    np.savez_compressed(folder / "cloud.npz", points=grid * 1e-6, **fields)
     vertices = [("vertex", np.arange(n)[:, None])]
     meshio.Mesh(grid * 1e-6, vertices, {"T": np.full(n, 300.0)}).write(folder / "cloud.vtu")
     head = f"ply\nformat ascii 1.0\nelement vertex {n}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-    (folder / "cloud.ply").write_text(
-        f"{head}end_header\n" + "\n".join(f"{a:.6g} {b:.6g} {c:.6g}" for a, b, c in grid * 1e-6) + "\n"
-    )
+    body = "".join(f"{a:.6g} {b:.6g} {c:.6g}\n" for a, b, c in grid * 1e-6)
+    (folder / "cloud.ply").write_text(f"{head}end_header\n{body}")
     x, t = packing.surface(2.0, 0.6)
     for name in ("text.stl", "shape.stl", "shape.obj", "shape.ply"):
         options = {} if name == "shape.obj" else {"binary": name != "text.stl"}
         meshio.Mesh(x, [("triangle", t.astype(np.int32))]).write(folder / name, **options)
-        scene = (
-            (folder / "scene.toml").read_text().replace("[particle]", f'[particle]\nshape = "file"\nfile = "{name}"', 1)
-        )
+        of_file = f'[particle]\nshape = "file"\nfile = "{name}"'
+        scene = (folder / "scene.toml").read_text().replace("[particle]", of_file, 1)
         (folder / f"{name}.toml").write_text(scene)
     made_up_run.write(folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary())
     made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary())
@@ -150,9 +147,8 @@ def prepare(folder: Path) -> None:
             data, offsets = file["VTKHDF/CellData"], file["VTKHDF/Steps/CellDataOffsets"]
             data["body"], offsets["body"] = np.zeros(len(data["T"]), np.float32), offsets["T"][()]
     for k, name in enumerate(f"Ni_{letter}" for letter in "abcdefgh"):
-        scene = made_up_run.SCENE.replace("500 m/s", f"{400 + 50 * (k % 4)} m/s").replace(
-            "25 um", f"{20 + k // 4 * 10} um"
-        )
+        scene = made_up_run.SCENE.replace("500 m/s", f"{400 + 50 * (k % 4)} m/s")
+        scene = scene.replace("25 um", f"{20 + k // 4 * 10} um")
         (folder / "sweep" / name).mkdir(parents=True)
         (folder / "sweep" / f"{name}.toml").write_text(scene)
         (folder / "sweep" / f"{name}.json").write_text('{"status": "done", "reason": "", "exit_code": 0}')
@@ -168,47 +164,22 @@ def prepare(folder: Path) -> None:
 # --- mutations: a function of (dice, path) that damages the file there and says how
 
 
-def flip(dice: random.Random, data: bytearray) -> str:
-    count = dice.choice((1, 1, 3, 30))
-    for _ in range(count):
-        data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
-    return f"{count} bits flipped"
-
-
-def cut(dice: random.Random, data: bytearray) -> str:
-    at = dice.randrange(len(data))
-    del data[at:]
-    return f"cut at byte {at}"
-
-
-def hole(dice: random.Random, data: bytearray) -> str:
-    at, length = dice.randrange(len(data)), dice.choice((1, 16, 512))
-    del data[at : at + length]
-    return f"{length} bytes missing from {at}"
-
-
-def zeros(dice: random.Random, data: bytearray) -> str:
-    at, length = dice.randrange(len(data)), dice.choice((8, 512, 4096))
-    data[at : at + length] = bytes(len(data[at : at + length]))
-    return f"{length} zeros from {at}"
-
-
-def garbage(dice: random.Random, data: bytearray) -> str:
-    at = dice.randrange(len(data))
-    data[at:at] = dice.randbytes(dice.choice((1, 8, 200)))
-    return f"garbage at {at}"
-
-
-def doubled(dice: random.Random, data: bytearray) -> str:
-    a, b = sorted((dice.randrange(len(data)), dice.randrange(len(data))))
-    data[b:b] = data[a:b]
-    return f"bytes {a} to {b} twice"
+def spoil(dice: random.Random, data: bytearray) -> str:
+    """A fault of a disk or a transfer, from some byte on."""
+    at, length = dice.randrange(len(data)), dice.choice((1, 8, 200, 4096))
+    here, rest = bytes(data[at : at + length]), bytes(data[at + length :])
+    how, new = dice.choice((
+        ("a bit flipped", bytes([here[0] ^ 1 << dice.randrange(8)]) + here[1:] + rest), ("cut", b""), ("bytes missing", rest),
+        ("zeros", bytes(len(here)) + rest), ("garbage", dice.randbytes(length) + here + rest), ("bytes twice", here + here + rest),
+    ))  # fmt: skip
+    data[at:] = new
+    return f"{how} at {at}, length {length}"
 
 
 def number(dice: random.Random, data: bytearray) -> str:
     spots = list(re.finditer(rb'"[^"\n]{0,80}"|-?\d+\.?\d*(?:e[+-]?\d+)?', bytes(data)))
     if not spots:
-        return garbage(dice, data)
+        return spoil(dice, data)
     spot, value = dice.choice(spots), dice.choice(VALUES)
     data[spot.start() : spot.end()] = value.encode()
     return f"{spot.group()[:40]!r} became {value[:40]!r}"
@@ -241,8 +212,8 @@ def whole(dice: random.Random, data: bytearray) -> str:
     return how
 
 
-BYTES = (flip, cut, hole, zeros, garbage, doubled, whole)
-TEXT = (number, number, number, number, lines, *BYTES)
+BYTES = (*(spoil,) * 6, whole)
+TEXT = (*(number,) * 4, lines, *BYTES)
 
 
 def special(dice: random.Random, path: Path) -> str:
@@ -270,13 +241,12 @@ def hdf5(dice: random.Random, path: Path) -> str:
         name = dice.choice(names)
         data = file[name]
         how = dice.choice(
-            ("value", "value", "all", "missing", "huge", "text", "group", "link", "steps", "resized", "scalar", "chunk")
+            ["value", "value", "all", "missing", "huge", "text", "group", "link", "steps", "resized", "scalar", "chunk"]
         )
         if how in ("value", "all"):
             kind = data.dtype.kind
-            new = dice.choice(
-                (np.nan, np.inf, -np.inf, 1e308, -1e30, 0.0) if kind == "f" else (-1, 2**40, 2**62, 0, 7, 255)
-            )
+            numbers = (np.nan, np.inf, -np.inf, 1e308, -1e30, 0.0) if kind == "f" else (-1, 2**40, 2**62, 0, 7, 255)
+            new = dice.choice(numbers)
             with np.errstate(all="ignore"):
                 values = data[()]
                 new = np.array(new).astype(data.dtype)

@@ -7,7 +7,7 @@ before becomes a body, joins, comes to rest; building), who set dt. --docs compu
 
 import random
 
-from pages import TABLES, column, computed, figure_path, options, table_rows, write_table
+from pages import EVIDENCE, TABLES, column, computed, options, table_rows, write_table
 
 from coupler import Scene
 from coupler.impact.exchange import Impact
@@ -25,10 +25,9 @@ def scene(impacts: int, seed: int) -> Scene:
     dice = random.Random(seed)
     text = '[substrate]\nmaterial = "SS304"\n[resolution]\nspacing = "1.8 um"\n'
     for _ in range(impacts):
-        while True:
+        x = y = 12.0
+        while x * x + y * y >= 144:
             x, y = dice.uniform(-12, 12), dice.uniform(-12, 12)
-            if x * x + y * y < 144:
-                break
         text += '[[particle]]\ndwell = "0 us"\n'
         text += f'material = "Ni"\ndiameter = "20 um"\nvelocity = "550 m/s"\noffset = ["{x:.2f} um", "{y:.2f} um"]\n'
     return Scene.from_text(text + '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n', "growth")
@@ -70,7 +69,7 @@ def draw() -> None:
     right.plot(number, column(rows, "steps"), "ko--", ms=4, label="number of steps (right)")
     right.set_ylim(0, None)
     figure.legend(loc="upper left", bbox_to_anchor=(0.11, 0.97))
-    save(figure, figure_path("speed", "growth.png"))
+    save(figure, EVIDENCE / "growth.png")
 
 
 def main() -> None:

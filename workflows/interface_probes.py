@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from bonding_energy import scene_of
+from bonding_energy import Case
 from pages import computed, study_table
 
 from coupler import Scene
@@ -27,8 +27,8 @@ PROFILE = (
     "metal", "diameter_um", "velocity_m_s", "preset", "zone_r_over_R", "clean_share", "strength_MPa", "over_flow_stress",
     "energy_J_m2",
 )  # fmt: skip
-SIZE_NI, VELOCITY_NI = 10.0, 665.0  # um and m/s, of the springs
-SIZE_AL, VELOCITY_AL = 22.0, 1100.0  # of the profile
+VELOCITY_NI = 665.0  # m/s, of the springs
+SIZE_AL, VELOCITY_AL = 22.0, 1100.0  # um and m/s, of the profile
 ZONES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # of the particle's radius, at the greatest deformation
 
 
@@ -56,17 +56,6 @@ class Profile:
         self.values = np.hypot(x[:, 0], x[:, 1]), bond.area, *values
 
 
-class Springs:
-    """A probe: energy (J) of the contact's springs when the particle turns back."""
-
-    def __init__(self) -> None:
-        self.energy: float | None = None
-
-    def __call__(self, impact: Impact) -> None:
-        if self.energy is None and impact.sinking < 0.0:
-            self.energy = impact.contact.penalty_energy
-
-
 def compute(text: str, probe: Callable[[Impact], None], **numerics: float) -> dict[str, Any]:
     """The values of the run of a scene."""
     with computed(Scene.from_text(text, "probe"), probe=probe, numerics=numerics) as (result, _):
@@ -75,13 +64,18 @@ def compute(text: str, probe: Callable[[Impact], None], **numerics: float) -> di
 
 def springs(preset: str, factor: float) -> dict[str, object]:
     """One impact without bonds; energies over the section of the particle. factor: on the stiffness of the contact."""
-    scene, probe = scene_of("ni", SIZE_NI, preset=preset), Springs()
+    scene, energy = Case("ni", (), preset).scene, list[float]()
+
+    def probe(impact: Impact) -> None:
+        if not energy and impact.sinking < 0.0:  # the particle turns back
+            energy.append(impact.contact.penalty_energy)
+
     data = tomllib.loads(at_velocity(scene, VELOCITY_NI)) | {"adhesion": {"kind": "none"}}
     s = compute(toml_text(data), probe, contact_stiffness=factor)
     section = 0.25 * np.pi * scene.particle.diameter**2
     rebound = 0.5 * s["particle_mass_kg"] * s["velocity_z_m_s"] ** 2
     values = (
-        scene.particle.material, VELOCITY_NI, preset, factor, round((probe.energy or 0.0) / section, 1), round(rebound / section, 1),
+        scene.particle.material, VELOCITY_NI, preset, factor, round(energy[0] / section, 1), round(rebound / section, 1),
         round(s["restitution"], 4), s["steps"],
     )  # fmt: skip
     return dict(zip(SPRINGS, values, strict=True))
@@ -89,7 +83,7 @@ def springs(preset: str, factor: float) -> dict[str, object]:
 
 def profile() -> list[dict[str, object]]:
     """Means over the bonded area of each zone."""
-    scene, probe = scene_of("al", SIZE_AL, preset="standard"), Profile()
+    scene, probe = Case("al", (), "standard", SIZE_AL).scene, Profile()
     compute(at_velocity(scene, VELOCITY_AL), probe)
     assert probe.values is not None
     radius, area, *fields = probe.values

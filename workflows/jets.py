@@ -4,19 +4,7 @@ Five fast impacts at the presets. Rows in docs/tables/jets.csv are not computed 
 """
 
 import numpy as np
-from pages import (
-    PAGES,
-    column,
-    computed,
-    figure_path,
-    markdown,
-    number,
-    options,
-    single_impact,
-    study_table,
-    versions,
-    write_parts,
-)
+from pages import EVIDENCE, column, computed, fill, markdown, number, options, single_impact, study_table, write_parts
 
 from coupler import Scene
 from coupler.impact.exchange import Impact
@@ -38,11 +26,6 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def scene(case: str, preset: str) -> Scene:
-    text = single_impact(*CASES[case], more='[adhesion]\nkind = "none"\n')
-    return Scene.from_text(f'preset = "{preset}"\n{text}', "jets")
-
-
 def row(case: str, preset: str) -> dict[str, object]:
     """Run one scene to rest and measure its splat and its jet."""
     last: dict[str, np.ndarray] = {}
@@ -51,7 +34,9 @@ def row(case: str, preset: str) -> dict[str, object]:
         p = impact.particle
         last["F"], last["skin"] = p.whole("F").reshape(-1, 3, 3), impact.surface.positions(p.x)
 
-    with computed(scene(case, preset), probe=probe) as (result, cpu):
+    text = single_impact(*CASES[case], more='[adhesion]\nkind = "none"\n')
+    scene = Scene.from_text(f'preset = "{preset}"\n{text}', "jets")
+    with computed(scene, probe=probe) as (result, cpu):
         end, diameter = dict(result.end), CASES[case][1] * 1e-6
     stretches = np.linalg.svd(last["F"], compute_uv=False)
     return {
@@ -80,7 +65,7 @@ def page(rows: list[Row]) -> None:
         ]
         lines.append([case, *cells])
     head = "impact | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
-    write_parts(PAGES["jets"], {"table": [*markdown(head, lines), "", versions(rows)]})
+    write_parts("jets", {"table": markdown(head, lines, rows)})
 
 
 def figure(rows: list[Row]) -> None:
@@ -102,16 +87,14 @@ def figure(rows: list[Row]) -> None:
         axes.set_xlabel("points")
         axes.set_ylim(bottom=0.0)
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    save(drawing, figure_path("jets", "jets.png"))
+    save(drawing, EVIDENCE / "jets.png")
 
 
 def main() -> None:
     """Compute the rows that the table lacks, the cheap ones first, and write the page."""
     table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
-    for preset in PRESETS:
-        for case in CASES:
-            if (case, preset) not in table and not options(__doc__, "docs").docs:
-                print(table.add(row(case, preset)), flush=True)
+    if not options(__doc__, "docs").docs:
+        fill(table, ((case, preset) for preset in PRESETS for case in CASES), row)
     page(table.rows)
     figure(table.rows)
 

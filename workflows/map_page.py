@@ -1,6 +1,6 @@
 """Table and sentence of the page of the nickel map, from docs/tables/map_ni.csv: python workflows/map_page.py"""
 
-from pages import PAGES, markdown, number, options, table_rows, versions, write_parts
+from pages import markdown, number, table_rows, versions, write_parts
 
 from coupler.studies.maps import interpolate
 
@@ -14,7 +14,6 @@ SHOWN = {
 
 def main() -> None:
     """Write the part of the page."""
-    options(__doc__)
     rows = [row for row in table_rows("map_ni") if row["status"] == "done"]
     at = {tuple(number(row, axis) for axis in AXES): row for row in rows}
     speeds, sizes = (sorted({place[k] for place in at}) for k in (0, 1))
@@ -35,7 +34,7 @@ def main() -> None:
         texts.append(f"{found.loo_rms:.2g} of a spread of {found.spread:.3g} in {SHOWN[name][0]}")
     told = f"Error of the interpolation, one point left out (root mean square): {'; '.join(texts)}."
     head = ["velocity, m/s", *(text for text, _ in SHOWN.values())]
-    write_parts(PAGES["maps"], {"map": [*markdown(head, lines), "", told, "", versions(rows)]})
+    write_parts("maps", {"map": [*markdown(head, lines), "", told, "", versions(rows)]})
 
 
 if __name__ == "__main__":

@@ -42,12 +42,8 @@ def scene(metal: str, diameter: float, velocity: float, on: str, preset: str = "
           T_target: float = 300.0, angle: float = 0.0) -> Table:  # fmt: skip
     """A scene as nested dicts; diameter um, velocity m/s, temperatures K, angle deg."""
     particle = {"material": metal, "diameter": f"{diameter} um", "velocity": f"{velocity} m/s", "temperature": f"{T} K"}
-    base = {
-        "material": on,
-        "diameter": f"{8 * diameter} um",
-        "height": f"{4 * diameter} um",
-        "temperature": f"{T_target} K",
-    }
+    size = {"diameter": f"{8 * diameter} um", "height": f"{4 * diameter} um"}
+    base = {"material": on, **size, "temperature": f"{T_target} K"}
     return {"particle": [particle | {"angle": f"{angle} deg"}], "substrate": base, "preset": preset}
 
 
@@ -67,10 +63,10 @@ SCENES = {
 }
 
 
-def draw(count: int) -> list[Table]:
+def draw() -> list[Table]:
     """Impacts by the columns DRAWN, drawn from one seed."""
     rng, drawn = np.random.default_rng(1), []
-    for _ in range(count):
+    for _ in range(SAMPLE):
         metal, on = (str(rng.choice(METALS)) for _ in range(2))
         diameter, velocity = round(float(rng.uniform(12, 45)), 1), round(float(rng.uniform(250, 900)))
         T = 300 if rng.random() < 0.6 else round(float(rng.uniform(350, 0.6 * material(metal).T_m)))
@@ -104,7 +100,7 @@ def sample() -> None:
     """Run the impacts that are drawn."""
     columns, key = (*DRAWN, "preset", "steps", "time_ns", "retries"), (*DRAWN, "preset")
     table = study_table("pace_sample", columns, key, "python workflows/pace.py --sample")
-    for preset, drawn in itertools.product(SAMPLED, draw(SAMPLE)):
+    for preset, drawn in itertools.product(SAMPLED, draw()):
         if (*(cell(value) for value in drawn.values()), preset) not in table:
             metal, on, diameter, velocity, T, T_target, angle = drawn.values()
             impact, _ = computed(scene(metal, diameter, velocity, on, preset, T, T_target, angle))  # type: ignore[arg-type]
@@ -144,10 +140,8 @@ def impacts() -> tuple[np.ndarray, ...]:
             singles.append((*pair, 1e-6 * D, v, T, T_t, math.radians(angle), points, steps, 1e-9 * time))
     data = []
     for first, base, D, v, T, T_t, angle, N, steps, time in singles:
-        pair = first, base
-        spacing = cost.spacing(sphere_volume(D), round(N))
-        inverse = steps * spacing / (pair[0].wave_speed * time)
-        data.append((*cost.loads(pair, (T, T_t), v, D), N, angle, math.log(time * v / D), math.log(inverse)))
+        inverse = steps * cost.spacing(sphere_volume(D), round(N)) / (first.wave_speed * time)
+        data.append((*cost.loads((first, base), (T, T_t), v, D), N, angle, math.log(time * v / D), math.log(inverse)))
     return tuple(np.array([row for row in data if row[2] > 0.9 * cost.PRESETS["draft"]]).T)
 
 

@@ -17,17 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coupler import Result, Scene, __version__, run
-from coupler.studies.table import Row, StudyTable, other_version, read_rows, write_rows
+from coupler.studies.table import Row, StudyTable, read_rows, write_rows
 
-MARK = re.compile(r" \(version [^)]*\)")
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
-PAGES = {path.stem: path for path in (DOCS / "evidence").glob("*.md")}
+EVIDENCE = DOCS / "evidence"
 
 
-def figure_path(page: str, name: str) -> Path:
-    """Where a figure of a page lies: beside the page."""
-    return PAGES[page].parent / name
+def fill(table: StudyTable, keys: Iterable[tuple[str, ...]], row_of: Callable[..., Mapping[str, object]]) -> None:
+    """Compute the rows of a table that it lacks, by their keys, and print them. row_of: of the values of a key."""
+    for key in keys:
+        if key not in table:
+            print(table.add(row_of(*key)), flush=True)
 
 
 def study_table(name: str, columns: Sequence[str], key: Sequence[str], remake: str) -> StudyTable:
@@ -112,22 +113,13 @@ def column(rows: Iterable[Mapping[str, str]], name: str) -> NDArray[np.float64]:
     return np.array([number(row, name) for row in rows])
 
 
-def markdown(head: str | Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Lines of a Markdown table. head: the headings, or one text with "|" between them.
-
-    A mark of a version that all rows have is left out: `versions` says it once.
-    """
+def markdown(
+    head: str | Sequence[str], rows: Iterable[Sequence[object]], of: Sequence[Mapping[str, str]] = ()
+) -> list[str]:
+    """Lines of a Markdown table. head: the headings, or one text with "|" between them; of: rows whose `versions` stand below."""
     headings = [text.strip() for text in head.split("|")] if isinstance(head, str) else head
-    texts = [f"| {' | '.join(map(str, line))} |" for line in rows]
-    marks = {tuple(MARK.findall(text)[:1]) for text in texts}
-    if len(marks) == 1:
-        texts = [MARK.sub("", text) for text in texts]
-    return [f"| {' | '.join(headings)} |", f"| {' | '.join(['---'] * len(headings))} |", *texts]
-
-
-def marked(text: object, row: Mapping[str, str]) -> str:
-    """A text about a row, with its version where that is not this program's."""
-    return f"{text} (version {other_version(row)})" if other_version(row) else str(text)
+    table = [f"| {' | '.join(map(str, line))} |" for line in (headings, ["---"] * len(headings), *rows)]
+    return [*table, "", versions(of)] if of else table
 
 
 def versions(rows: Iterable[Mapping[str, str]]) -> str:
@@ -138,18 +130,24 @@ def versions(rows: Iterable[Mapping[str, str]]) -> str:
     return f"Computed with versions {', '.join(f'{name} ({n} rows)' for name, n in sorted(count.items()))}."
 
 
-def write_parts(page: Path, parts: Mapping[str, Sequence[str]]) -> None:
-    """Put lines between the comments `<!-- NAME: ... -->` and `<!-- end of NAME -->` of a page, for each name.
+def failed(problem: Exception) -> dict[str, object]:
+    """The column `failed` of a run that ends with an error."""
+    return {"failed": " ".join(str(problem).split())[:200]}
+
+
+def write_parts(page: str, parts: Mapping[str, Sequence[str]]) -> None:
+    """Put lines between the comments `<!-- NAME: ... -->` and `<!-- end of NAME -->` of a page of docs/evidence, for each name.
 
     Raises SystemExit if the page lacks one of them.
     """
-    text = page.read_text(encoding="utf-8")
+    path = EVIDENCE / f"{page}.md"
+    text = path.read_text(encoding="utf-8")
     for name, lines in parts.items():
         place = re.compile(rf"(<!-- {re.escape(name)}: [^\n]*-->\n).*?(<!-- end of {re.escape(name)} -->)", re.DOTALL)
         body = "\n".join(["", *lines, ""])
         text, count = place.subn(lambda match, body=body: f"{match[1]}{body}\n{match[2]}", text)  # type: ignore[misc]
         if count != 1:
             raise SystemExit(
-                f"{page} has no place for {name}: it needs <!-- {name}: ... --> and <!-- end of {name} -->"
+                f"{path} has no place for {name}: it needs <!-- {name}: ... --> and <!-- end of {name} -->"
             )
-    page.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")

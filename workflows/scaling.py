@@ -1,7 +1,6 @@
 """What threads and jobs gain on this machine: python workflows/scaling.py   # docs/tables/scaling.csv, about five minutes
 
-Steps of one impact on 1, 2, 4 ... threads, and coarse impacts with 1, 2, 4 ... at a time, as many as there are cores. A reference loop
-is timed beside them, so that tables of other machines and versions compare by ratios.
+Steps of one impact on 1, 2, 4 ... threads, and coarse impacts with 1, 2, 4 ... at a time, as many as there are cores.
 """
 
 import statistics
@@ -12,7 +11,7 @@ from itertools import count, takewhile
 from multiprocessing import get_context
 from pathlib import Path
 
-from pages import TABLES, machine, options, reference, single_impact, spacing_of, write_table
+from pages import TABLES, machine, options, single_impact, spacing_of, write_table
 
 from coupler.core.cores import cores
 from coupler.core.threads import threads_of
@@ -75,20 +74,12 @@ def main() -> None:
     rows: list[dict[str, object]] = []
 
     def tell(what: str, took: dict[int, float], unit: str) -> None:
-        loop = reference()
         for n, seconds in took.items():
             gain = took[counts[0]] / seconds
             print(f"{what}, {n}: {1e3 * seconds:.4g} ms {unit}, {gain:.2f} times as fast as one", flush=True)
-            row = {
-                "what": what,
-                "number": n,
-                "ms": f"{1e3 * seconds:.4g}",
-                "gain": f"{gain:.3g}",
-                "over_loop": f"{seconds / loop:.4g}",
-            }
-            rows.append(row)
+            rows.append({"what": what, "number": n, "ms": f"{1e3 * seconds:.4g}", "gain": f"{gain:.3g}"})
 
-    for points in map(int, a.points):
+    for points in a.points:
         tell(f"threads, {points} points", steps_on(points, counts), "a step")
     tell("impacts at a time", jobs_at_a_time(counts), "an impact")
     write_table(TABLES / "scaling.csv", rows, f"remake: python workflows/scaling.py; {machine()}")

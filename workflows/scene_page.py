@@ -111,17 +111,10 @@ Units: {known}.
     for key, model in tables:
         lines += [f"## `[{key}]`", "", words(f"{key}.about"), ""]
         lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
+    limits = materials._LIMITS | materials._PAIR_LIMITS
     own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
-    lines += [
-        "## `[materials.NAME]`",
-        "",
-        own,
-        "",
-        *EXAMPLE.splitlines(),
-        "",
-        *_plain(materials.Material, materials._DEFAULTS, MATERIAL, _material_unit),
-        *_laws(),
-    ]
+    lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
+              *_plain(materials.Material, materials._DEFAULTS, MATERIAL, lambda name: limits.get(name, [""])[0]), *_laws()]  # fmt: skip
     own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
     lines += ["## `[nozzles.NAME]`", "", own, "",
               *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
@@ -176,11 +169,6 @@ def _parameter(key: str, parameter: Parameter) -> str:
     default = "" if parameter.default is None else f"default {parameter.default:g}"
     about = ", ".join(text for text in (parameter.unit, default) if text)
     return f"`{key}`{f' ({about})' if about else ''} {parameter.about}"
-
-
-def _material_unit(name: str) -> str:
-    limits = materials._LIMITS | materials._PAIR_LIMITS
-    return limits[name][0] if name in limits else ""
 
 
 def _units() -> list[tuple[str, list[str]]]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
-from pages import PAGES, figure_path, markdown, options, study_table, versions, write_parts
+from pages import EVIDENCE, markdown, options, study_table, write_parts
 
 from coupler.errors import ColdsprayError, SplatError
 from coupler.geometry.sections import crossing, cut_tets
@@ -133,7 +133,7 @@ def part(rows: Sequence[Row]) -> list[str]:
             values = [factor * float(row[name]) for row in own if row[name]]
             cells.append(f"{form.format(float(np.median(values)))} ({form.format(worst(values, key=abs))})")
         lines.append([label, *cells])
-    return [*markdown(["", *KINDS.values()], lines), "", versions(rows)]
+    return markdown(["", *KINDS.values()], lines, rows)
 
 
 def draw(folder: Path, path: Path) -> None:
@@ -147,18 +147,16 @@ def draw(folder: Path, path: Path) -> None:
     for (above, below), (label, cloud) in zip(axes.T, clouds.items(), strict=True):
         assert cloud.eps_p is not None
         near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing
-        above.scatter(
-            *(cloud.x[near][:, [0, 2]].T * 1e6), s=9, c=cloud.eps_p[near], vmin=0.0, vmax=most, cmap="viridis"
-        )
+        x, z = cloud.x[near][:, [0, 2]].T * 1e6
+        above.scatter(x, z, s=9, c=cloud.eps_p[near], vmin=0.0, vmax=most, cmap="viridis")
         above.set_title(f"{label}: {len(cloud.x)} points", fontsize=9)
         splat = convert(cloud, SIZE_OVER_SPACING * cloud.spacing)
         for body in splat.bodies:
             assert body.eps_p is not None
             edges, owner = cut_tets(body.points, body.tets, 0.0)
             corners = list(crossing(body.points, edges, 0.0)[0] * 1e6)
-            drawn = below.add_collection(
-                PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
-            )
+            cells = PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
+            drawn = below.add_collection(cells)
         r = splat.report
         below.set_title(f"{r['tets']} tetrahedra, worst gamma {r['gamma_min']:.2f}", fontsize=9)
         low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
@@ -177,8 +175,8 @@ def main() -> None:
     table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
     if not a.docs:
         compute(a.only, a.clouds, table)
-    draw(a.clouds, figure_path("splats", "splats.png"))
-    write_parts(PAGES["splats"], {"battery": part(table.rows)})
+    draw(a.clouds, EVIDENCE / "splats.png")
+    write_parts("splats", {"battery": part(table.rows)})
 
 
 if __name__ == "__main__":

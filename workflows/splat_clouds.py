@@ -63,10 +63,8 @@ def real() -> dict[str, Callable[[], Made]]:
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
         clouds |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
     for angle, fast in ((30, 1000), (45, 750)):
-        clouds |= {
-            f"{m}{v}_at_{angle}": impact(m, v, angle=f"{angle} deg")
-            for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))
-        }
+        pairs = ("Ni", 500), ("Ni", fast), ("Ti", 500)
+        clouds |= {f"{m}{v}_at_{angle}": impact(m, v, angle=f"{angle} deg") for m, v in pairs}
     clouds["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt="90 deg")
     for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
         clouds[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=[f"{offset} um", "0 um"])
@@ -97,18 +95,11 @@ def splats() -> dict[str, Callable[[], Made]]:
         add(f"{metal}{velocity}_at_{hot}K", metal, particle(metal, velocity, temperature=f"{hot} K"))
     for metal, velocity, base in (("Cu", 500, "SS304"), ("Al", 700, "SS304"), ("Ni", 500, "Al")):
         add(f"{metal}{velocity}_on_{base}", base, particle(metal, velocity))
-    add(
-        "Ni_three",
-        "SS304",
-        *(particle("Ni", v, offset=[x, "0 um"]) for v, x in ((500, "0 um"), (600, "12 um"), (700, "-8 um"))),
-    )
+    three = ((500, "0 um"), (600, "12 um"), (700, "-8 um"))
+    add("Ni_three", "SS304", *(particle("Ni", v, offset=[x, "0 um"]) for v, x in three))
     add("Cu_Al", "SS304", particle("Cu", 500), particle("Al", 600, offset=["10 um", "0 um"]))
     add("Ti_Ni", "Ti", particle("Ti", 600), particle("Ni", 500, offset=["-9 um", "0 um"]))
     return clouds
-
-
-def still(x: np.ndarray) -> np.ndarray:
-    return x
 
 
 def lens(x: np.ndarray) -> np.ndarray:
@@ -189,15 +180,11 @@ def joined(*parts: Made) -> Made:
     }
 
 
-def moved(cloud: Made, by: tuple[float, float, float]) -> Made:
-    return cloud | {"x": cloud["x"] + np.array(by)}
-
-
 def pair(n: int, gap: float) -> Made:
     """Two balls whose outermost points are `gap` spacings apart."""
-    left = mapped(ball(n), still, carried=False)
+    left = mapped(ball(n), np.copy, carried=False)
     width = float(np.ptp(left["x"][:, 0])) + gap * left["spacing"]
-    return joined(left, moved(left, (width, 0.0, 0.0)))
+    return joined(left, left | {"x": left["x"] + [width, 0.0, 0.0]})
 
 
 def shattered(n: int, sizes: tuple[int, ...], seed: int) -> Made:
@@ -275,7 +262,7 @@ def synthetic() -> dict[str, Callable[[], Made]]:
     add("star_5000", partial(ball, 5000), starred)
     add("star_1000_points_only", partial(ball, 1000), starred, carried=False)
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
-        add(f"{shape}_3000", partial(shapes.shape, shape, D, 3000), still)
+        add(f"{shape}_3000", partial(shapes.shape, shape, D, 3000), np.copy)
     hollow, rod = partial(shapes.shape, "hollow_sphere", D, 3000), partial(shapes.shape, "rod", D, 3000)
     for carried, label in ((True, ""), (False, "_points_only")):
         add(f"hollow_lens_3000{label}", hollow, lens, carried)

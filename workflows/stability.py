@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import verify
-from pages import PAGES, figure_path, markdown, study_table, versions, write_parts
+from pages import EVIDENCE, column, markdown, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.deposition.joining import cloud_of
@@ -174,29 +174,22 @@ def of_targets() -> dict[str, dict[str, Table]]:
     p, groups = particle, dict[str, dict[str, Table]]()
     cases = groups["friction of 0 to 2"] = {}
     for friction, velocity, angle in ((0, 500, 0), (0, 1000, 0), (1, 800, 60), (2, 500, 0), (2, 1000, 75)):
-        cases[f"Ni friction {friction}, {velocity} m/s, {angle} degrees"] = scene(
-            p(velocity=velocity, angle=angle), contact={"friction": float(friction)}
-        )
+        name, contact = f"Ni friction {friction}, {velocity} m/s, {angle} degrees", {"friction": float(friction)}
+        cases[name] = scene(p(velocity=velocity, angle=angle), contact=contact)
     cases = groups["thin substrates"] = {}
     thin = {"height": "50 um", "bottom": "free", "sides": "free"}
     cases["Ni on a thin free substrate, 800 m/s"] = scene(p(velocity=800), substrate=thin)
-    cases["Ni on a thinner free substrate of Al, 800 m/s"] = scene(
-        p(velocity=800), on="Al", substrate=thin | {"height": "30 um"}
-    )
-    cases["Ni on a thin fixed substrate of Al"] = scene(
-        p(), on="Al", substrate=thin | {"bottom": "fixed", "sides": "fixed"}
-    )
+    thinner, fixed = thin | {"height": "30 um"}, thin | {"bottom": "fixed", "sides": "fixed"}
+    cases["Ni on a thinner free substrate of Al, 800 m/s"] = scene(p(velocity=800), on="Al", substrate=thinner)
+    cases["Ni on a thin fixed substrate of Al"] = scene(p(), on="Al", substrate=fixed)
     cases = groups["on and beside splats"] = {}
     cases["Ni on the rim of a Ni splat"] = scene(p(), p(offset=(15, 0)))
     cases["Ni between two Ni splats"] = scene(p(offset=(-17, 0)), p(offset=(17, 0)), p())
     cases["Ni on a Ti splat that is not bonded"] = scene(p("Ti"), p(), adhesion={"kind": "none"})
     cases["Al on a Ni splat, 700 m/s"] = scene(p(), p("Al", velocity=700))
-    cases["Ti on the rim of an Al splat on Ti, 700 m/s"] = scene(
-        p("Al"), p("Ti", velocity=700, offset=(12, 8)), on="Ti"
-    )
-    cases["Cu at 45 degrees on the rim of a Ni splat, 700 m/s"] = scene(
-        p(), p("Cu", velocity=700, angle=45, offset=(-20, 5))
-    )
+    titanium, copper = p("Ti", velocity=700, offset=(12, 8)), p("Cu", velocity=700, angle=45, offset=(-20, 5))
+    cases["Ti on the rim of an Al splat on Ti, 700 m/s"] = scene(p("Al"), titanium, on="Ti")
+    cases["Cu at 45 degrees on the rim of a Ni splat, 700 m/s"] = scene(p(), copper)
     cases["Cu 15 um on a Ni splat of 25 um"] = scene(p(), p("Cu", diameter=15.5), points=900)
     cases = groups["diameters of 1 to 60 µm"] = {}
     for diameter in (1, 3, 10, 40, 60):
@@ -238,7 +231,7 @@ def judged(result: Result, more: Sequence[str] = ()) -> Judged:
     impacts, history = summary["impacts"], result.history()
     flattening = verify.value(impacts[-1], "flattening_ratio")
     named = {"depth": "depth", "eps_p max": "eps_p", "T max over T_m": "melting"}
-    retries = verify.of_run(summary, "retries") or []
+    retries = summary["run"].get("retries") or []
     row = {
         "points": impacts[0]["points"], "steps": sum(i["steps"] for i in impacts), "end ns": f"{history['time'][-1] * 1e9:.1f}",
         "flattening": "" if flattening is None else f"{flattening:.3f}", "rescues": len(retries),
@@ -390,17 +383,14 @@ def draw(rows: list[Row]) -> None:
         ("warned", "#d55e00", "^", lambda row: row["verdict"] == "warned"),
         ("computed again", "none", "s", lambda row: row["rescues"] != "0"),
     ):
-        x, y = zip(
-            *((float(row["eps_p max"]), 100.0 * share(row, "dissipated")) for row in found if choose(row)), strict=True
-        )
-        edge = "k" if colour == "none" else colour
-        axes.scatter(
-            x, y, s=60 if colour == "none" else 20, marker=mark, facecolors=colour, edgecolors=edge, label=words
-        )
+        own = [row for row in found if choose(row)]
+        x, y = column(own, "eps_p max"), [100.0 * share(row, "dissipated") for row in own]
+        size, edge = (60, "k") if colour == "none" else (20, colour)
+        axes.scatter(x, y, s=size, marker=mark, facecolors=colour, edgecolors=edge, label=words)
     axes.axhline(100.0 * verify.DISSIPATION, color="k", ls="--", lw=1)
     axes.set(xscale="log", xlabel="largest plastic strain", ylabel="numerical dissipation (% of kinetic energy)")
     axes.legend(loc="upper left")
-    save(figure, figure_path("stability", "stability.png"))
+    save(figure, EVIDENCE / "stability.png")
 
 
 def main() -> None:
@@ -425,7 +415,7 @@ def main() -> None:
         print(*filter(None, new.values()), sep=" | ", flush=True)
     rows = sorted((row for row in table.rows if row["scene"] in names), key=lambda row: names.index(row["scene"]))
     draw(rows)
-    write_parts(PAGES["stability"], {"table": page_part(rows)})
+    write_parts("stability", {"table": page_part(rows)})
     print(Counter(row["verdict"] for row in rows))
 
 

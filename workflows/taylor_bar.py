@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import ROOT, TABLES, column, figure_path, options, study_table, table_rows, write_table
+from pages import EVIDENCE, ROOT, TABLES, column, options, study_table, table_rows, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
@@ -181,8 +181,8 @@ def of_elements() -> None:
     rows: list[dict[str, object]] = []
     for case, sizes in LADDER.items():
         for size in sizes:
-            values = {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in bar(case, size).items()}
-            rows.append({"case": case} | {name: value for name, value in values.items() if name != "wall_s"})
+            values = {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in bar(case, size).items() if k != "wall_s"}
+            rows.append({"case": case, **values})
             print(rows[-1], flush=True)
     write_table(TABLES / "taylor_bar.csv", rows, HEAD)
 
@@ -204,7 +204,7 @@ def draw() -> None:
         axes.set(title=title, xscale="log", xlabel="number of elements or points")
         if name == "diameter":
             axes.legend(fontsize=8)
-    save(figure, figure_path("solvers", "taylor_bar.png"))
+    save(figure, EVIDENCE / "taylor_bar.png")
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import validation_page as page
 from numpy.typing import NDArray
-from pages import computed, options, study_table
+from pages import computed, failed, options, study_table
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
@@ -234,8 +234,7 @@ def fill(name: str, cases: Iterable[Case]) -> None:
                 rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
             rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
-            failed = " ".join(str(problem).split())[:200]
-            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": failed}]
+            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, **failed(problem)}]
         shown = ("run", "impact", "flattening_own", "flattening_end", "run_wall_s", "failed")
         for row in rows:
             new = table.add(row)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pages import PAGES, column, figure_path, markdown, number, table_rows, versions, write_parts
+from pages import EVIDENCE, column, markdown, number, table_rows, write_parts
 
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
@@ -25,11 +25,6 @@ class Splat:
     row: Row
     flattening: dict[str, float]
     ratio: dict[str, float]
-
-    @property
-    def our_ratio(self) -> float:
-        """Largest diameter over whole thickness at the end of the run."""
-        return ratio_of(self.row)
 
 
 def ratio_of(row: Row) -> float:
@@ -74,18 +69,14 @@ def errors(splats: Sequence[Splat]) -> dict[str, list[str]]:
     truth = np.array([s.flattening["experiment"] for s in splats])
     ratio = np.array([s.ratio["experiment"] for s in splats])
     last = np.array([s.name.startswith("D3") for s in splats])
-    flat = [
-        column([s.row for s in splats], "flattening_end"),
-        *(np.array([s.flattening[w] for s in splats]) for w in METHODS[:2]),
-    ]
-    ratios = [np.array([s.our_ratio for s in splats]), *(np.array([s.ratio[w] for s in splats]) for w in METHODS[:2])]
+    flat, ratios = [column([s.row for s in splats], "flattening_end")], [np.array([ratio_of(s.row) for s in splats])]
+    flat += [np.array([s.flattening[w] for s in splats]) for w in METHODS[:2]]
+    ratios += [np.array([s.ratio[w] for s in splats]) for w in METHODS[:2]]
+    off = [np.abs(f - truth) for f in flat]
+    logs = [(log_error(r, ratio), log_error(r[~last], ratio[~last])) for r in ratios]
     return {
-        "mean error of flattening (without D3)": [
-            f"{np.abs(f - truth).mean():.3f} ({np.abs(f - truth)[~last].mean():.3f})" for f in flat
-        ],
-        "mean error of ln(diameter / thickness) (without D3)": [
-            f"{log_error(r, ratio):.2f} ({log_error(r[~last], ratio[~last]):.2f})" for r in ratios
-        ],
+        "mean error of flattening (without D3)": [f"{o.mean():.3f} ({o[~last].mean():.3f})" for o in off],
+        "mean error of ln(diameter / thickness) (without D3)": [f"{a:.2f} ({b:.2f})" for a, b in logs],
     }
 
 
@@ -138,11 +129,10 @@ def table(rows: Sequence[Row]) -> list[str]:
         ("A: largest plastic strain", number(first, "eps_p_max"), "eps_max", "strain", 2),
         ("A: highest temperature, K", number(first, "T_max"), "T_max_K", "temperature", 0),
     ):
-        lines.append(
-            [name, digits(ours, count), *(digits(cost[who][theirs][0], count) for who in METHODS[:2]), "-", why[key]]
-        )
+        values = (digits(cost[who][theirs][0], count) for who in METHODS[:2])
+        lines.append([name, digits(ours, count), *values, "-", why[key]])
     used = [row for name in TABLES_USED for row in table_rows(name)]
-    return [*markdown("| here | hybrid | ALE | experiment | why it differs", lines), "", versions(used)]
+    return markdown("| here | hybrid | ALE | experiment | why it differs", lines, used)
 
 
 def trends(rows: Sequence[Row]) -> list[str]:
@@ -216,7 +206,7 @@ def draw(splats: Sequence[Splat], path: Path) -> None:
     axis.plot(x, values["hybrid"], "s", color="#8a8a8a", label="paper, hybrid", **style)
     axis.plot(x, values["ale"], "D", color="#8a8a8a", mfc="none", label="paper, ALE", **style)
     axis.plot(x, values["experiment"], "_", color="#c7540a", ms=26, mew=3, label="experiment", **style)
-    axis.plot(x, [s.our_ratio for s in splats], "o", color="#1f5fa8", ms=8, label="here", **style)
+    axis.plot(x, [ratio_of(s.row) for s in splats], "o", color="#1f5fa8", ms=8, label="here", **style)
     for place, splat in enumerate(splats):
         if splat.name.startswith("D"):
             ratios = [ratio_of(row) for row in scattered(splat.name[1])]
@@ -244,5 +234,5 @@ def write_page() -> None:
         "trends": trends(table_rows("validation_trends")),
         "cost": cost(rows),
     }
-    write_parts(PAGES["validation"], parts)
-    draw(splats, figure_path("validation", "validation_ratios.png"))
+    write_parts("validation", parts)
+    draw(splats, EVIDENCE / "validation_ratios.png")

@@ -178,11 +178,6 @@ def value(record: Mapping[str, Any], name: str) -> Any:
     return record[name] if name in record else record["end"].get(name)
 
 
-def of_run(summary: Mapping[str, Any], name: str) -> Any:
-    """A figure of the whole run in the summary."""
-    return summary["run"].get(name)
-
-
 def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
     """Energy (J) of the springs that go on as a half-space: traction 4 G u / R along the normal of a facet, 2 G u / R within it.
 
@@ -239,7 +234,7 @@ Instant = dict[str, Fields]  # by domain
 def check(result: Result) -> Findings:
     """Figures and faults of a finished run. Raises StoreError for files that cannot be read."""
     scene = Scene.from_text(result.scene_text, "scene")
-    warnings = of_run(result.summary, "warnings") or []
+    warnings = result.summary["run"].get("warnings") or []
     found = Findings(undecided=result.undecided)
     found.warned = [text for text in warnings if "melting" in text or "of the kinetic energy" in text]
     records, history = result.summary["impacts"], result.history()
@@ -393,15 +388,13 @@ class _ImpactCheck:
         self.found.figures["depth"] = max(self.found.figures.get("depth", 0.0), float(depth.max()))
         self.hold("sunk", np.mean(depth > 1.0), SUNK, f"share of the {name} more than a spacing inside the target")
         if self.end_at == "rest" and self.scene.end.time is None and not self.found.undecided:
-            self.hold(
-                "sinking", max(-rows["velocity_z"][-1] / self.p.velocity, 0.0), REST, "said to be at rest, but sinks"
-            )
+            sinking = max(-rows["velocity_z"][-1] / self.p.velocity, 0.0)
+            self.hold("sinking", sinking, REST, "said to be at rest, but sinks")
 
     def volume(self) -> None:
         """Volumes of the bodies against their pressure and mass, and of the particle's surface."""
-        self.found.fault(
-            min(v.min() for v in self.volumes) <= 0.0, f"{self.where}: an element of the target is inverted"
-        )
+        least = min(v.min() for v in self.volumes)
+        self.found.fault(least <= 0.0, f"{self.where}: an element of the target is inverted")
         inside = self.last["surface"]
         closed = enclosed_volume(inside.points, inside.cells) / self.p.volume
         data = self.last["particle"].data
@@ -419,10 +412,10 @@ class _ImpactCheck:
                 bounds.append([float(volume[own] @ (J - 1.0)) for J in ratios])
             (low_0, high_0), (low, high) = bounds
             start, end = self.volumes[0][own].sum(), self.volumes[-1][own].sum()
-            excess = max(end - start - (high - low_0), low - high_0 - (end - start), 0.0)
-            self.hold(
-                "volume", excess / (start if b else self.p.volume), VOLUME, f"volume of body {b} against its pressure"
+            excess = max(end - start - (high - low_0), low - high_0 - (end - start), 0.0) / (
+                start if b else self.p.volume
             )
+            self.hold("volume", excess, VOLUME, f"volume of body {b} against its pressure")
 
     def kinetic_and_elastic(self) -> None:
         """Energies of the fields at the end against those of the history."""
@@ -431,12 +424,11 @@ class _ImpactCheck:
         rho = np.array([metal.rho for metal, _ in self.bodies])[self.body]
         shares = np.repeat(self.volumes[0] * rho / 4.0, 4)
         nodal = np.bincount(self.last["target"].cells.ravel(), shares, len(self.last["target"].points))
+        of_point = np.full(len(points["T"]), each / self.metal.rho)
         energies = {
             "kinetic_particle": 0.5 * each * float(np.sum(points["velocity"].astype(float) ** 2)),
             "kinetic_target": 0.5 * float(nodal @ np.sum(cells["velocity"].astype(float) ** 2, axis=1)),
-            "elastic_particle": elastic_energy(
-                self.metal, points["stress"], np.full(len(points["T"]), each / self.metal.rho)
-            ),
+            "elastic_particle": elastic_energy(self.metal, points["stress"], of_point),
             "elastic_target": 0.0,
         }
         stored = 0.0  # by the impacts before
@@ -446,10 +438,8 @@ class _ImpactCheck:
             volume = self.volumes[0][own]
             energies["elastic_target"] += elastic_energy(metal, after, volume) - elastic_energy(metal, before, volume)
             stored += elastic_energy(metal, before, volume)
-        energies["elastic_target"] += sum(
-            sign * half_space_energy(self.scene, self.untouched, f["target"])
-            for sign, f in ((1, self.last), (-1, self.first))
-        )
+        springs = [half_space_energy(self.scene, self.untouched, f["target"]) for f in (self.first, self.last)]
+        energies["elastic_target"] += springs[1] - springs[0]
         uncertain = AVERAGED * abs(self.rows["elastic_target"][-1])
         for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
@@ -470,9 +460,8 @@ class _ImpactCheck:
             own = self.body == b
             before, after = (f["target"].data["T"][own].astype(float) for f in (self.first, self.last))
             warmed += metal.rho * float(self.volumes[0][own] @ heat(metal, before, after, varies))
-            stored += metal.rho * float(
-                self.volumes[0][own] @ np.abs(heat(metal, np.full(len(before), T_0), before, varies))
-            )
+            at_first = np.abs(heat(metal, np.full(len(before), T_0), before, varies))
+            stored += metal.rho * float(self.volumes[0][own] @ at_first)
         work = [float(self.rows[name][-1]) for name in ("plastic_particle", "plastic_target", "friction")]
         shares = [metal.taylor_quinney for metal, _ in self.bodies]
         low, high = (self.metal.taylor_quinney * work[0] + share * work[1] for share in (min(shares), max(shares)))
@@ -497,10 +486,8 @@ class _ImpactCheck:
                 data = {key: instant[name].data[key][own].astype(float) for key in ("T", "eps_p", "von_mises")}
                 place = f"{self.where}: {name} at {data['T'].min():.0f} K, colder than all at the start"
                 self.found.fault(data["T"].min() < coldest - UNDERSHOOT * (hottest - coldest), place)
-                molten = any("melting" in text for text in self.found.warned)
-                self.hold(
-                    "melting", data["T"].max() / metal.T_m, np.inf if molten else 1.0, "T over T_m, without a warning"
-                )
+                most = np.inf if any("melting" in text for text in self.found.warned) else 1.0
+                self.hold("melting", data["T"].max() / metal.T_m, most, "T over T_m, without a warning")
                 stress = float((data["von_mises"] / greatest_flow_stress(metal, data["eps_p"])).max())
                 self.hold("yield", stress, YIELD, f"von Mises stress of the {name} over the law's")
                 self.hold("eps_p", data["eps_p"].max(), np.inf, "")
@@ -524,9 +511,8 @@ class _ImpactCheck:
         for name, (number, size) in expected.items():
             reported = value(self.record, name)
             off = 0.0 if reported is None else abs(reported - number) / max(abs(number), size)
-            self.found.fault(
-                off > SAME, f"{self.where}: {name} is {reported} in the summary, {number:.6g} from the fields"
-            )
+            text = f"{self.where}: {name} is {reported} in the summary, {number:.6g} from the fields"
+            self.found.fault(off > SAME, text)
         for name in ("eps_p_max", "target_eps_p_max"):
             bad = expected[name][0] > FOLLOWED and value(self.record, name) is not None
             self.found.fault(bad, f"{self.where}: {name} {expected[name][0]:.3g} is a number in the summary")
