@@ -147,8 +147,9 @@ def time_part(rows: Sequence[Row]) -> list[str]:
     texts = []
     for preset in PRESETS:
         seconds, error, off = (np.array([of[preset][scene][k] for scene in common]) for k in range(3))
-        told = f", {np.nanmedian(off):.1f} % from `fine` (printed error {np.nanmedian(error):.1f} %)"
-        texts.append(f"`{preset}` {np.median(seconds):.0f} s{told if preset != 'fine' else ''}")
+        texts.append(f"`{preset}` {np.median(seconds):.0f} s")
+        if preset != "fine":
+            texts[-1] += f", {np.nanmedian(off):.1f} % from `fine` (printed error {np.nanmedian(error):.1f} %)"
     standard = [r for r in rows if r["preset"] == "standard" and r["error_cpu_s"]]
     cost = [number(r, "error_cpu_s") / number(r, "cpu_s") for r in standard]
     return [

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pages import PAGES, TABLES, markdown, write_parts, write_table
+from pages import TABLES, markdown, write_parts, write_table
 
 from coupler import __version__
 from coupler.measures import STICKS
@@ -29,7 +29,7 @@ ATMOSPHERE, ZERO = 1.01325e5, 273.15
 
 def nozzles() -> dict[str, Nozzle]:
     """The nozzles of the sources."""
-    found, problems = from_tables(tomllib.loads((HERE / "laboratory_nozzles.toml").read_text()))
+    found, problems = from_tables(tomllib.loads((HERE / "laboratory_nozzles.toml").read_text())["nozzles"])
     assert not problems
     return found
 
@@ -97,7 +97,7 @@ def main() -> None:
     for r in table:
         print(*r.values(), sep=", ")
     write_table(TABLES / "flights.csv", table, "remake: python workflows/flights.py")
-    write_parts(PAGES["gas"], {"flights": part(table)})
+    write_parts("gas", {"flights": part(table)})
 
 
 if __name__ == "__main__":

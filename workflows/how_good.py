@@ -13,7 +13,7 @@ from typing import NamedTuple
 import coatings_al
 import experiments
 import numpy as np
-from pages import PAGES, column, figure_path, markdown, number, table_rows, write_parts
+from pages import EVIDENCE, column, markdown, number, table_rows, write_parts
 from validation_page import scattered, seven
 
 from coupler.physics.materials import entry
@@ -149,8 +149,8 @@ def main() -> None:
     pairs.sort(key=lambda p: kinds.index(p.kind))
     lines = table(pairs)
     print(lines[0])
-    draw(pairs, figure_path("how_good", "how_good.png"))
-    write_parts(PAGES["how_good"], {"table": lines})
+    draw(pairs, EVIDENCE / "how_good.png")
+    write_parts("how_good", {"table": lines})
 
 
 if __name__ == "__main__":
