@@ -11,7 +11,7 @@ size / 1.7.
 
 import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pages import computed, number, options, study_table, versions, write_parts
@@ -142,14 +142,18 @@ class ElementImpact:
         return m
 
 
-def strike(impact: ElementImpact) -> dict[str, dict[str, float]]:
-    """Advance an impact to rest; measures at its `greatest` deformation and at its `end`. Raises SolverError."""
+def strike(impact: ElementImpact, probe: Callable[[], None] = lambda: None) -> dict[str, dict[str, float]]:
+    """Advance an impact to rest; measures at its `greatest` deformation and at its `end`. Raises SolverError.
+
+    probe: called after each CHUNK of steps.
+    """
     p = impact.plan.impact
     speed = float(np.linalg.norm(p.velocity))
     ending = EndCriterion(p.end_time, p.end_at, p.diameter / speed, speed)
     greatest: dict[str, float] = {}
     while not ending.reached(impact.target.time):
         force = impact.advance()
+        probe()
         ending.observe(impact.target.time, impact.sinking, force)
         if ending.turned is not None and not greatest:
             greatest = impact.measures()

@@ -1,13 +1,32 @@
 """Does a splat converge, and its jet: python workflows/jets.py [--docs]
 
-Five fast impacts at the presets. Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
+Five fast impacts at the presets, one of them with 64,000 points, and with the particle as finite elements as long as these live.
+Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
 """
 
+import time
+
 import numpy as np
-from pages import EVIDENCE, column, computed, fill, markdown, number, options, single_impact, study_table, write_parts
+from element_particle import ElementImpact, strike
+from pages import (
+    EVIDENCE,
+    column,
+    computed,
+    fill,
+    markdown,
+    number,
+    options,
+    single_impact,
+    spacing_of,
+    study_table,
+    write_parts,
+)  # fmt: skip
 
 from coupler import Scene
+from coupler.errors import SolverError
 from coupler.impact.exchange import Impact
+from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
+from coupler.plan.planning import plan
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
@@ -19,36 +38,87 @@ CASES = {
     "Ti64 25 µm, 1000 m/s, on SS304": ("Ti64", 25, 1000, "SS304"),
 }
 PRESETS = ("draft", "standard", "fine")
+FINEST = ("Ti64 25 µm, 1000 m/s, on SS304", "64000 points")  # others thin so far that their steps take a day
+SIZES = (3.4, 2.4, 1.7, 1.2)  # um, edges of the particle's elements and of the target's
 THINNED = 0.1  # of its length: a point compressed further
+SHAPE = {"height": "height_m", "thickness": "thickness_m", "diameter": "splat_diameter_m"}
 COLUMNS = (
     "case", "preset", "points", "stretch_median", "stretch_99", "thinned", "height", "thickness", "diameter", "top", "span",
-    "jet_um", "unresolved", "cpu_s",
+    "jet_um", "unresolved", "cpu_s", "ended",
 )  # fmt: skip
 
 
-def row(case: str, preset: str) -> dict[str, object]:
-    """Run one scene to rest and measure its splat and its jet."""
+def scene(case: str, preset: str, spacing: float = 0.0, more: str = "") -> Scene:
+    """The scene of a case; spacing: um, that of the preset if 0."""
+    metal, diameter, velocity, base = CASES[case]
+    text = single_impact(metal, diameter, velocity, base, spacing, '[adhesion]\nkind = "none"\n')
+    return Scene.from_text(f'preset = "{preset}"\n{more}{text}', "jets")
+
+
+def by_elements(case: str, size: float) -> dict[str, object]:
+    """Follow the particle as finite elements until it rests or an element fails. size: edges, um."""
+    off = 'effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]\n'
+    spacing = round(size / ELEMENT_SIZE_OVER_SPACING, 6)
+    impact = ElementImpact(plan(scene(case, "fine", spacing, off)), size * 1e-6)
+    t, own, diameter = impact.target, impact.elements, CASES[case][1] * 1e-6
+    undeformed = np.linalg.inv(_edges(t.nodes.x, t.mesh.conn[own]))
+    started, ended, last = time.process_time(), "at rest", (np.ones((1, 3)), impact.measures())
+
+    def probe() -> None:
+        nonlocal last
+        F = np.swapaxes(undeformed @ _edges(t.nodes.x, t.mesh.conn[own]), 1, 2)
+        last = np.linalg.svd(F, compute_uv=False), impact.measures()
+
+    try:
+        strike(impact, probe)
+    except SolverError as problem:
+        ended = f"{t.time * 1e9:.0f} ns: {str(problem)[:80]}"
+    stretches, m = last
+    skin = t.nodes.x[impact.nodes]
+    return {
+        "case": case, "preset": f"elements {size:g} um", "points": len(stretches), **_stretched(stretches),
+        **{name: round(m[key] / diameter, 3) for name, key in SHAPE.items()},
+        "top": round(float(skin[:, 2].max()) / diameter, 3), "span": round(float(np.ptp(skin[:, 2])) / diameter, 3),
+        "jet_um": round(m["jet_length_m"] * 1e6, 2), "cpu_s": round(time.process_time() - started, 1), "ended": ended,
+    }  # fmt: skip
+
+
+def _edges(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Edges (m, 3, 3) of tetrahedra from their first node, m."""
+    return x[tets[:, 1:]] - x[tets[:, :1]]
+
+
+def _stretched(stretches: np.ndarray) -> dict[str, float]:
+    """The columns that describe principal stretches (n, 3), the largest first."""
+    return {
+        "stretch_median": round(float(np.median(stretches[:, 0])), 2),
+        "stretch_99": round(float(np.percentile(stretches[:, 0], 99)), 2),
+        "thinned": round(float(np.mean(stretches[:, 2] < THINNED)), 4),
+    }
+
+
+def row(case: str, what: str) -> dict[str, object]:
+    """Run one scene to rest and measure its splat and its jet. what: a preset, "N points", or "elements S um"."""
+    if what.startswith("elements"):
+        return by_elements(case, float(what.split()[1]))
+    impact_of = (
+        scene(case, what) if what in PRESETS else scene(case, "fine", round(spacing_of(int(what.split()[0])), 6))
+    )
     last: dict[str, np.ndarray] = {}
 
     def probe(impact: Impact) -> None:
         p = impact.particle
         last["F"], last["skin"] = p.whole("F").reshape(-1, 3, 3), impact.surface.positions(p.x)
 
-    text = single_impact(*CASES[case], more='[adhesion]\nkind = "none"\n')
-    scene = Scene.from_text(f'preset = "{preset}"\n{text}', "jets")
-    with computed(scene, probe=probe) as (result, cpu):
+    with computed(impact_of, probe=probe) as (result, cpu):
         end, diameter = dict(result.end), CASES[case][1] * 1e-6
     stretches = np.linalg.svd(last["F"], compute_uv=False)
     return {
-        "case": case, "preset": preset, "points": len(stretches),
-        "stretch_median": round(float(np.median(stretches[:, 0])), 2),
-        "stretch_99": round(float(np.percentile(stretches[:, 0], 99)), 2),
-        "thinned": round(float(np.mean(stretches[:, 2] < THINNED)), 4),
-        "height": round(end["height_m"] / diameter, 3), "thickness": round(end["thickness_m"] / diameter, 3),
-        "diameter": round(end["splat_diameter_m"] / diameter, 3),
+        "case": case, "preset": what, "points": len(stretches), **_stretched(stretches),
+        **{name: round(end[key] / diameter, 3) for name, key in SHAPE.items()},
         "top": round(float(last["skin"][:, 2].max()) / diameter, 3), "span": round(float(np.ptp(last["skin"][:, 2])) / diameter, 3),
         "jet_um": round(end["jet_length_m"] * 1e6, 2), "unresolved": round(end["unresolved_share"], 4),
-        "cpu_s": round(cpu, 1),
+        "cpu_s": round(cpu, 1), "ended": "at rest",
     }  # fmt: skip
 
 
@@ -56,35 +126,43 @@ def page(rows: list[Row]) -> None:
     """Write the table of the page: of each impact the measures at the presets."""
     lines = []
     for case in CASES:
-        own = {r["preset"]: r for r in rows if r["case"] == case}
-        measures = (("stretch_median", "{:.2f}"), ("stretch_99", "{:.1f}"), ("height", "{:.2f}"), ("thickness", "{:.2f}"),
-                    ("diameter", "{:.2f}"), ("jet_um", "{:.1f}"))  # fmt: skip
-        cells = [
-            " / ".join(form.format(number(own[preset], name)) for preset in PRESETS if preset in own)
-            for name, form in measures
-        ]
-        lines.append([case, *cells])
-    head = "impact | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
+        for body, own in bodies(rows, case).items():
+            measures = (("stretch_median", "{:.2f}"), ("stretch_99", "{:.1f}"), ("height", "{:.2f}"), ("thickness", "{:.2f}"),
+                        ("diameter", "{:.2f}"), ("jet_um", "{:.1f}"))  # fmt: skip
+            cells = [" / ".join(form.format(number(row, name)) for row in own) for name, form in measures]
+            lines.append([case if body == "points" else "", body, *cells])
+    head = "impact | particle of | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
     write_parts("jets", {"table": markdown(head, lines, rows)})
 
 
+def bodies(rows: list[Row], case: str) -> dict[str, list[Row]]:
+    """The rows of a case that came to rest, with the particle as points, and as elements."""
+    own = [row for row in rows if row["case"] == case and row["ended"] == "at rest"]
+    return {
+        "points": [row for row in own if "elements" not in row["preset"]],
+        "elements": [row for row in own if "elements" in row["preset"]],
+    }
+
+
 def figure(rows: list[Row]) -> None:
-    """Draw thickness and stretch over the number of points."""
+    """Draw thickness and stretch over the number of points, and of elements."""
     drawing = blank(9.6, 3.8, 110, "constrained")
     left, right = drawing.subplots(1, 2)
     for k, case in enumerate(CASES):
-        own, color = [r for r in rows if r["case"] == case], f"C{k}"
-        points = column(own, "points")
-        left.semilogx(points, column(own, "thickness"), "o-", color=color, label=case)
-        left.semilogx(points, column(own, "span"), "s:", color=color, mfc="none")
-        right.semilogx(points, column(own, "stretch_99"), "o-", color=color)
-        right.semilogx(points, column(own, "stretch_median"), "s:", color=color, mfc="none")
-    left.set_ylabel("thickness / diameter")
-    left.set_title("full: 99 % of the volume; open: outermost vertices", fontsize=9)
-    right.set_ylabel("largest principal stretch of the points")
-    right.set_title("full: 99th percentile; open: median", fontsize=9)
+        for body, own in bodies(rows, case).items():
+            style = {
+                "color": f"C{k}",
+                "ls": "-" if body == "points" else "--",
+                "mfc": None if body == "points" else "none",
+            }
+            size = column(own, "points")
+            left.semilogx(size, column(own, "thickness"), "o", label=case if body == "points" else None, **style)
+            right.semilogx(size, column(own, "stretch_99"), "o", **style)
+            right.semilogx(size, column(own, "stretch_median"), "s", ms=4, alpha=0.5, **style)
+    left.set(ylabel="thickness / diameter", title="99 % of the volume")
+    right.set(ylabel="largest principal stretch", title="circles: 99th percentile; squares: median")
     for axes in (left, right):
-        axes.set_xlabel("points")
+        axes.set_xlabel("points (full lines), elements (dashed)")
         axes.set_ylim(bottom=0.0)
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     save(drawing, EVIDENCE / "jets.png")
@@ -93,8 +171,9 @@ def figure(rows: list[Row]) -> None:
 def main() -> None:
     """Compute the rows that the table lacks, the cheap ones first, and write the page."""
     table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
+    whats = (*PRESETS, *(f"elements {size:g} um" for size in SIZES))
     if not options(__doc__, "docs").docs:
-        fill(table, ((case, preset) for preset in PRESETS for case in CASES), row)
+        fill(table, [*((case, what) for what in whats for case in CASES), FINEST], row)
     page(table.rows)
     figure(table.rows)
 
