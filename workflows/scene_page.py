@@ -111,10 +111,9 @@ Units: {known}.
     for key, model in tables:
         lines += [f"## `[{key}]`", "", words(f"{key}.about"), ""]
         lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
-    limits = materials._LIMITS | materials._PAIR_LIMITS
     own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
     lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
-              *_plain(materials.Material, materials._DEFAULTS, MATERIAL, lambda name: limits.get(name, [""])[0]), *_laws()]  # fmt: skip
+              *_plain(materials.Material, materials.DEFAULTS, MATERIAL, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
     own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
     lines += ["## `[nozzles.NAME]`", "", own, "",
               *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip

@@ -22,16 +22,8 @@ def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, floa
     return stress * (1.0 - LINE_TENSION + slope * math.log(alpha)), stress * slope
 
 
-def gradient_length(burgers: float) -> float:
-    """r b, m: a gradient eta (1/m) of plastic strain needs r eta / b dislocations per area, y^2 = r b eta. burgers m.
-
-    Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239.
-    """
-    return NYE_FACTOR * burgers
-
-
 def stress_of_gradient(forest: tuple[float, float], length: float, eta: float) -> float:
-    """Flow stress, Pa, of the dislocations alone that a gradient eta (1/m) needs. forest: A and B, Pa; length m: of `gradient_length`;
+    """Flow stress, Pa, of the dislocations alone that a gradient eta (1/m) needs. forest: A and B, Pa; length m: `gradient_length`;
     both 0 of a metal that gradients do not harden."""
     (A, B), y = forest, math.sqrt(length * eta)
     return y * (A + B * math.log(y)) if y > 0.0 else 0.0

@@ -6,13 +6,14 @@ The library is `materials.toml`; a scene may add materials or change numbers of 
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
+from typing import Annotated, NamedTuple, get_args, get_type_hints
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from . import library
-from .dislocations import gradient_length, taylor_relation
+from .dislocations import NYE_FACTOR, taylor_relation
 from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Strength, read
 
 Pairs = tuple[tuple[float, float], ...]
@@ -23,77 +24,46 @@ _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
-# field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
-_LIMITS: dict[str, tuple[str, float, float]] = {
-    "rho": ("kg/m^3", 500.0, 25e3),
-    "G": ("GPa", 1e8, 1e12),
-    "c0": ("m/s", 100.0, 2e4),
-    "s": ("", 0.0, 5.0),
-    "Gamma0": ("", 0.0, 5.0),
-    "T_m": ("K", 200.0, 5000.0),
-    "taylor_quinney": ("", 0.0, 1.0),
-    "sigma_TS": ("MPa", 1e6, 1e10),
-    "oxide_thickness": ("nm", 1e-10, 1e-6),
-    "oxide_strength": ("GPa", 1e6, 1e11),
-    "oxide_threshold": ("", 0.0, 0.9),
-    "burgers": ("nm", 1e-10, 1e-9),
-    "taylor_alpha": ("", 0.0, 1.0),
-}
-# other names of fields, and the elastic constants of handbooks
-_OTHER_FIELDS = {"density": _LIMITS["rho"], "E": ("GPa", 1e8, 1e12), "nu": ("", 0.0, 0.495)}
-_PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
-    "cp": ("J/(kg K)", 10.0, 1e4),
-    "k": ("W/(m K)", 0.01, 5000.0),
-    "thermal_expansion": ("1/K", 0.0, 1e-3),
-}
-#: Unit of each number in the table of a metal, "" of a plain number.
-UNITS = {key: limits[0] for key, limits in (_LIMITS | _OTHER_FIELDS | _PAIR_LIMITS).items()} | {
-    key: parameter.unit for law in LAWS.values() for key, parameter in law.parameters.items()
-}
-_DEFAULTS: dict[str, float | str | Pairs | None] = {
-    "taylor_quinney": 0.9,
-    "thermal_expansion": ((300.0, 0.0),),
-    "sigma_TS": None,
-    "oxide_thickness": None,
-    "oxide_strength": None,
-    "oxide_threshold": None,
-    "burgers": None,
-    "taylor_alpha": 0.0,
-    "source": "",
-    "note": "",
-}
+
+class Number(NamedTuple):
+    """A number of a material: its unit ("" for a plain one), smallest and largest value in SI, wide enough for any metal; varies: it
+    may depend on temperature."""
+
+    unit: str
+    low: float
+    high: float
+    varies: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Material:
     """A metal: strength law, shock equation of state, heat. SI units.
 
-    rho kg/m^3; G Pa; c0 m/s; s, Gamma0, taylor_quinney without unit; T_m K; cp ((T, J/(kg K)), ...), k ((T, W/(m K)), ...),
-    thermal_expansion (linear) ((T, 1/K), ...): one pair, a constant, or two, linear between them and constant outside; sigma_TS Pa:
-    tensile strength at 293 K, for critical velocities; oxide_thickness m, oxide_strength Pa: of the native film; oxide_threshold:
-    surface exposure at which it cracks (`physics.adhesion`); burgers m: Burgers vector; taylor_alpha: the coefficient of Taylor's
-    relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`). None where one is not known.
+    c0, s: of the Hugoniot; cp, k and thermal_expansion (linear) ((T, value), ...): one pair, a constant, or two, linear between them
+    and constant outside; sigma_TS: tensile strength at 293 K, for critical velocities; oxide_thickness, oxide_strength: of the native
+    film; oxide_threshold: surface exposure at which it cracks (`physics.adhesion`); burgers: Burgers vector; taylor_alpha: coefficient
+    of Taylor's relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`). None: not known.
     """
 
     name: str
-    rho: float
-    G: float
-    c0: float
-    s: float
-    Gamma0: float
-    T_m: float
-    taylor_quinney: float
-    cp: Pairs
-    k: Pairs
-    thermal_expansion: Pairs
-    sigma_TS: float | None
-    oxide_thickness: float | None
-    oxide_strength: float | None
-    oxide_threshold: float | None
-    burgers: float | None
-    taylor_alpha: float
-    source: str
-    note: str
+    rho: Annotated[float, Number("kg/m^3", 500.0, 25e3)]
+    G: Annotated[float, Number("GPa", 1e8, 1e12)]
+    c0: Annotated[float, Number("m/s", 100.0, 2e4)]
+    s: Annotated[float, Number("", 0.0, 5.0)]
+    Gamma0: Annotated[float, Number("", 0.0, 5.0)]
+    T_m: Annotated[float, Number("K", 200.0, 5000.0)]
+    taylor_quinney: Annotated[float, Number("", 0.0, 1.0)] = 0.9
+    cp: Annotated[Pairs, Number("J/(kg K)", 10.0, 1e4, True)]
+    k: Annotated[Pairs, Number("W/(m K)", 0.01, 5000.0, True)]
+    thermal_expansion: Annotated[Pairs, Number("1/K", 0.0, 1e-3, True)] = ((300.0, 0.0),)
+    sigma_TS: Annotated[float | None, Number("MPa", 1e6, 1e10)] = None
+    oxide_thickness: Annotated[float | None, Number("nm", 1e-10, 1e-6)] = None
+    oxide_strength: Annotated[float | None, Number("GPa", 1e6, 1e11)] = None
+    oxide_threshold: Annotated[float | None, Number("", 0.0, 0.9)] = None
+    burgers: Annotated[float | None, Number("nm", 1e-10, 1e-9)] = None
+    taylor_alpha: Annotated[float, Number("", 0.0, 1.0)] = 0.0
+    source: str = ""
+    note: str = ""
     strength: Strength
 
     @property
@@ -114,13 +84,14 @@ class Material:
     @property
     def forest(self) -> tuple[float, float]:
         """A and B, Pa, of Taylor's relation (`physics.dislocations`); zero without `taylor_alpha`."""
-        hardened = self.hardened_by_gradients
-        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if hardened else (0.0, 0.0)
+        known = self.hardened_by_gradients
+        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if known else (0.0, 0.0)
 
     @property
     def gradient_length(self) -> float:
-        """r b, m (`physics.dislocations`); zero without `taylor_alpha`."""
-        return gradient_length(self.burgers or 0.0) if self.hardened_by_gradients else 0.0
+        """r b, m: a gradient eta (1/m) of plastic strain needs r eta / b dislocations per area (Gao, Huang, Nix & Hutchinson (1999), J.
+        Mech. Phys. Solids 47, 1239); zero without `taylor_alpha`."""
+        return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
 
     @property
     def hardened_by_gradients(self) -> bool:
@@ -189,6 +160,17 @@ class Material:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if reached(middle) < wanted else (low, middle)
         return high
+
+
+#: The numbers of a material by field, and defaults; E and nu are the elastic constants of handbooks.
+_HINTS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Material, include_extras=True).items()}
+LIMITS: dict[str, Number] = {name: extra[0] for name, extra in _HINTS.items() if extra and isinstance(extra[0], Number)}
+DEFAULTS = {f.name: f.default for f in fields(Material) if f.default is not MISSING}
+_OTHER_FIELDS = {"density": LIMITS["rho"], "E": Number("GPa", 1e8, 1e12), "nu": Number("", 0.0, 0.495)}
+#: Unit of each number in the table of a metal, "" of a plain number.
+UNITS = {key: number.unit for key, number in (LIMITS | _OTHER_FIELDS).items()} | {
+    key: parameter.unit for law in LAWS.values() for key, parameter in law.parameters.items()
+}
 
 
 @dataclass(frozen=True)
@@ -261,9 +243,8 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     table: fields of Material as in materials.toml, or E, nu and density in the place of G, c0 and rho; `law` and the parameters of that
     law. What it lacks is from `base`, else the defaults. Raises SceneError with all problems, each beginning with the field at fault.
     """
-    values: dict[str, object] = (
-        dict(_DEFAULTS) if base is None else {name: value for name, value in vars(base).items() if name != "name"}
-    )
+    values: dict[str, object] = dict(DEFAULTS if base is None else vars(base))
+    values.pop("name", None)
     problems: list[str] = []
     table = _with_own_fields(table, base, problems)
     strength, own, lacks = read(table, base.strength if base else None, problems)
@@ -298,12 +279,12 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
     given: dict[str, float] = {}
     for key in [key for key in ("E", "nu") if key in own]:
         try:
-            given[key] = library.read_number(own.pop(key), *_OTHER_FIELDS[key])
+            given[key] = library.read_number(own.pop(key), *_OTHER_FIELDS[key][:3])
         except ValueError as error:
             problems.append(f"{key} {error}")
-    for field, others in (("rho", ["density"]), ("G", ["E", "nu"]), ("c0", ["E", "nu"])):
-        if field in table and (said := [key for key in others if key in table]):
-            problems.append(f"{field} follows from {' and '.join(said)}: give only one of them")
+    for name, others in (("rho", ["density"]), ("G", ["E", "nu"]), ("c0", ["E", "nu"])):
+        if name in table and (said := [key for key in others if key in table]):
+            problems.append(f"{name} follows from {' and '.join(said)}: give only one of them")
     if given:
         values = ({"E": base.E, "nu": base.nu} if base is not None else {}) | given
         if lacks := {"E", "nu"} - values.keys():
@@ -311,7 +292,7 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
             return own
         E, nu = values["E"], values["nu"]
         try:
-            rho = library.read_number(own.get("rho", base and f"{base.rho!r} kg/m^3"), *_LIMITS["rho"])
+            rho = library.read_number(own.get("rho", base and f"{base.rho!r} kg/m^3"), *LIMITS["rho"][:3])
         except ValueError:  # told with the other fields
             rho = 1e3
         own["G"] = f"{E / (2.0 * (1.0 + nu))!r} Pa"
@@ -392,9 +373,7 @@ def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Materi
 def _read(key: str, value: object) -> float | Pairs | str:
     if key in ("source", "note"):
         return library.read_text(value, _SAFE_TEXT, _SAFE_WORDS)
-    if key in _PAIR_LIMITS:
-        return _pairs(value, *_PAIR_LIMITS[key])
-    return library.read_number(value, *_LIMITS[key])
+    return (_pairs if LIMITS[key].varies else library.read_number)(value, *LIMITS[key][:3])
 
 
 def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
