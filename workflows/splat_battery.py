@@ -18,7 +18,7 @@ from matplotlib.collections import PolyCollection
 from pages import EVIDENCE, markdown, options, study_table, write_parts
 
 from coupler.errors import ColdsprayError, SplatError
-from coupler.geometry.sections import crossing, cut_tets
+from coupler.geometry.sections import crossing, section_of_tets
 from coupler.particle import packing
 from coupler.report.picture import blank, save
 from coupler.splat.cloud import Cloud
@@ -153,7 +153,7 @@ def draw(folder: Path, path: Path) -> None:
         splat = convert(cloud, SIZE_OVER_SPACING * cloud.spacing)
         for body in splat.bodies:
             assert body.eps_p is not None
-            edges, owner = cut_tets(body.points, body.tets, 0.0)
+            edges, owner = section_of_tets(body.points, body.tets, 0.0)
             corners = list(crossing(body.points, edges, 0.0)[0] * 1e6)
             cells = PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
             drawn = below.add_collection(cells)

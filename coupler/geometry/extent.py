@@ -6,9 +6,9 @@ from scipy.optimize import brentq
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
 
-#: Share of the volume that lies within an extent. A jet holds less than the rest of it, and a section shows the splat as wide and high.
+#: Share of the volume that lies within an extent. A jet has less than the rest of it, and a section shows the splat as wide and high.
 SHARE = 0.99
-#: Of the diameter of a sphere: the part between two planes that each cut off half of what is left, caps h^2 (3 R - h) / 4 R^3 high.
+#: Of the diameter of a sphere: the part between two planes, half of the rest beyond each, caps h^2 (3 R - h) / 4 R^3 high.
 OF_SPHERE = 1.0 - brentq(lambda h: h * h * (3.0 - h) / 4.0 - 0.5 * (1.0 - SHARE), 0.0, 1.0)
 UP = np.array([0.0, 0.0, 1.0])
 DIRECTIONS = 8  # in which a width is taken, over half a turn
@@ -60,7 +60,7 @@ def _volume_below(z: float, height: Floats, shade: Floats) -> float:
 def shape_measures(points: Floats, triangles: Ints, diameter: float) -> dict[str, float]:
     """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
 
-    Height above that plane, thickness from the lowest to the highest place, diameter seen from above (mean of widths), each an
+    Height above that plane, thickness from the lowest to the highest point, diameter seen from above (mean of widths), each an
     `extent`; both flattening ratios: 1 - height / D0, and 1 - thickness / D0. jet_length_m: how far the surface reaches beyond these
     extents. points (n,3) m and triangles (m,3) of its closed surface.
     """

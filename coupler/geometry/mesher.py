@@ -54,16 +54,9 @@ def build(
 
 
 def cylinder(
-    diameter: float,
-    height: float,
-    size: float,
-    refined_radius: float,
-    growth: float,
-    centre: tuple[float, float] = (0.0, 0.0),
-    sizes_to: float | None = None,
-    sector: float = 2.0 * math.pi,
-    spread: float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
+    diameter: float, height: float, size: float, refined_radius: float, growth: float, centre: tuple[float, float] = (0.0, 0.0),
+    sizes_to: float | None = None, sector: float = 2.0 * math.pi, spread: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
 
     Element edges are `size` within refined_radius of a disc on the top face, of radius `spread` about `centre`, and grow by `growth`

@@ -9,15 +9,15 @@ from .raycast import RaySurface
 from .tetrahedra import boundary_faces
 
 SAME_PLACE = 1e-4  # spacings: points so close are one
-PLACES = 4096  # looked for at once in `depths`: some 100 MB
+AT_ONCE = 4096  # points in a part of `depths`: some 100 MB
 LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
-BITS = 16  # of each coordinate in a place of the curve of `morton`
+BITS = 16  # of each coordinate in the key of `morton`
 FLAT = 0.015  # of the variance of neighbours: less of it along their normal is a surface
 LONELY = 2.5  # spacings: a point without another one so near is no part of a body
 
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
-    """Which of points x (n,3) m to keep: each place once, without isolated points; and what is left out, as text."""
+    """Which of points x (n,3) m to keep: each position once, without isolated points; and what is left out, as text."""
     o3d = open3d()
     finite = np.isfinite(x).all(axis=1)
     if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # reported by the check of the cloud
@@ -47,34 +47,35 @@ def is_shell(x: NDArray) -> bool:
 
 
 def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0, near: int = 32) -> NDArray[np.float64]:
-    """Distance (k,) m of places x (k,3) inside the tetrahedra (m,4) of points (n,3) from their boundary, where it is larger than
+    """Distance (k,) m of points x (k,3) inside the tetrahedra (m,4) of points (n,3) from their boundary, where it is larger than
     `least` m; else 0, as outside.
 
-    Only the `near` tetrahedra with the nearest centres are looked at.
+    Only the `near` tetrahedra with the nearest centres are tried.
     """
     centres, inside = cKDTree(points[tets].mean(axis=1)), np.zeros(len(x), bool)
-    for rows in np.array_split(np.arange(len(x)), len(x) // PLACES + 1):
+    for rows in np.array_split(np.arange(len(x)), len(x) // AT_ONCE + 1):
         candidates = centres.query(x[rows], np.arange(1, min(near, len(tets)) + 1))[1]
         corner = points[tets[candidates]]
         edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
         weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
         inside[rows] = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
     depth, facets = np.zeros(len(x)), boundary_faces(tets)[0]
-    # the boundary is no farther than the nearest of its nodes: mostly no place is left, and open3d is not loaded
+    # the boundary is no farther than the nearest of its nodes: mostly no point is left, and open3d is not loaded
     inside[inside] = cKDTree(points[np.unique(facets)]).query(x[inside])[0] > least
     if inside.any():
-        depth[inside] = np.linalg.norm(x[inside] - RaySurface(points, facets, closed=False).closest(x[inside]), axis=1)
+        feet = RaySurface(points, facets, closed=False).feet(x[inside])[0]
+        depth[inside] = np.linalg.norm(x[inside] - feet, axis=1)
     return np.where(depth > least, depth, 0.0)
 
 
 def morton(x: NDArray) -> NDArray[np.uint64]:
-    """Place (n,) of points x (n,3) along the curve of Morton (1966), which interleaves the bits of their coordinates: points that are
+    """Key (n,) of points x (n,3) along the curve of Morton (1966), which interleaves the bits of their coordinates: points that are
     near along it are near in space."""
     low = x.min(axis=0)
     extent = float((x.max(axis=0) - low).max()) or 1.0
     cells = ((x - low) * ((2**BITS - 1) / extent)).astype(np.uint64)
-    place = np.zeros(len(x), np.uint64)
+    key = np.zeros(len(x), np.uint64)
     for bit in range(BITS):
         for d in range(3):
-            place |= ((cells[:, d] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + d)
-    return place
+            key |= ((cells[:, d] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + d)
+    return key

@@ -41,11 +41,11 @@ class RaySurface:
         self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
-        """Places in the form of open3d."""
+        """Points in the form of open3d."""
         return self._tensor(np.ascontiguousarray((x - self.middle) / self.unit, np.float32))
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:
-        """Distance (k,) m of places x (k,3) m from a closed surface where they lie outside it, else 0."""
+        """Distance (k,) m of points x (k,3) m from a closed surface where they lie outside it, else 0."""
         distance, out = np.zeros(len(x)), np.flatnonzero(~self.inside(x))
         distance[out] = self._scene.compute_distance(self._single(x[out]), nthreads=1).numpy()
         return distance * self.unit
@@ -62,10 +62,6 @@ class RaySurface:
         line, height, triangle = self.on_verticals(*(x[:, :2] + aside).T)
         above = height > x[line, 2]
         return np.bincount(line[above], self._upwards[triangle[above]], len(x)).astype(np.int64)
-
-    def closest(self, x: NDArray) -> NDArray[np.float64]:
-        """The point (k,3) m of the surface closest to each of x (k,3) m."""
-        return self.feet(x)[0]
 
     def feet(self, x: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
         """The point (k,3) m of the surface closest to each of x (k,3) m, the index of its triangle (k,) and its barycentric coordinates

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
+from .triangles import compact, vertex_normals
 from .triangles import edges as directed_edges
-from .triangles import vertex_normals
 
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
@@ -21,15 +21,12 @@ TIE = 1e-6
 
 
 def even(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    size: float,
-    project: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    vertices: np.ndarray, triangles: np.ndarray, size: float, project: Callable[[np.ndarray], np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """A closed surface (k,3) m, (m,3) with edges of about `size` m, of the same topology.
 
     project(vertices) -> vertices moves them to the true surface after each round; without it relaxing along the surface
-    decides their places.
+    decides their positions.
     """
     x, t = np.array(vertices, float), np.array(triangles, np.int64)
     edge = float(np.median(np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2)))
@@ -101,10 +98,7 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
         done = _collapse(x, t, start, table, edges[pick], longest)
         if done == 0:
             break
-        t = t[t[:, 0] >= 0]
-        used = np.zeros(len(x), bool)
-        used[t] = True
-        x, t = x[used], (np.cumsum(used) - 1)[t]
+        x, t = compact(x, t[t[:, 0] >= 0])
     return x, t
 
 

@@ -1,11 +1,11 @@
-"""Where a plane of constant y cuts tetrahedra and triangles. Lengths in whatever unit the points have."""
+"""Sections of tetrahedra and triangles with a plane of constant y. Lengths in whatever unit the points have."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-def cut_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cut tetrahedra with a plane of constant y.
+def section_of_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Section of tetrahedra with a plane of constant y.
 
     points: (n, 3). tets: (m, 4). Returns the corners of the polygons, in order round each, as the two points
     whose edge they lie on, (q, 4, 2), a triangle with its last one twice, and each polygon's tet, (q,).
@@ -24,16 +24,16 @@ def cut_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64
     return np.concatenate(edges), np.concatenate(list(owners.values()))
 
 
-def cut_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.int64]:
-    """Cut triangles with a plane of constant y.
+def section_of_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.int64]:
+    """Section of triangles with a plane of constant y.
 
     points: (n, 3). triangles: (m, 3). Returns segments as start and end, each given by the two points whose
     edge it lies on, smaller index first, (q, 2, 2). Triangles of one orientation give segments of one orientation.
     """
     side = points[triangles, 1] >= y
     above = side.sum(axis=1)
-    cut = (above == 1) | (above == 2)
-    triangles, side, above = triangles[cut], side[cut], above[cut]
+    crossed = (above == 1) | (above == 2)
+    triangles, side, above = triangles[crossed], side[crossed], above[crossed]
     # Turn each triangle so that the corner that is alone on its side comes first.
     alone = np.argmax(side == (above == 1)[:, None], axis=1)
     turned = np.take_along_axis(triangles, (alone[:, None] + np.arange(3)) % 3, axis=1)
@@ -43,11 +43,11 @@ def cut_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.i
 
 
 def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray]:
-    """Closed lines in which a closed surface meets a plane of constant y, as x and z, (k, 2) each.
+    """Closed lines in which a closed surface crosses a plane of constant y, as x and z, (k, 2) each.
 
     points: (n, 3). triangles: (m, 3), all of one orientation; a hole then turns against its outline.
     """
-    segments = cut_triangles(points, triangles, y).tolist()
+    segments = section_of_triangles(points, triangles, y).tolist()
     following = {tuple(start): tuple(end) for start, end in segments}
     loops = []
     while following:

@@ -31,7 +31,7 @@ class Solid:
 def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     """The solid that a surface of points (n,3), in any unit, and triangles (m,3) bounds, cleaned.
 
-    Corners at one place are joined, double and empty triangles and fragments left out, all turned outwards; a fine surface is
+    Corners at one point are joined, double and empty triangles and fragments left out, all turned outwards; a fine surface is
     decimated to MOST_TRIANGLES. Raises SplatError where no solid comes of it, or more than one.
     """
     mesh = _mesh(points, triangles)
@@ -95,18 +95,18 @@ def check_solid(points: NDArray, triangles: NDArray) -> None:
     if not problem and not mesh.is_vertex_manifold():
         problem = f"{len(mesh.get_non_manifold_vertices())} corners are where it touches itself"
     if not problem and any(
-        _meet(points[triangles[pair]]) for pair in np.asarray(mesh.get_self_intersecting_triangles())
+        _intersect(points[triangles[pair]]) for pair in np.asarray(mesh.get_self_intersecting_triangles())
     ):
         problem = "triangles pass through each other"
     if problem:
         raise SplatError(f"the surface bounds no solid: {problem}")
 
 
-def _meet(pair: NDArray) -> bool:
-    """Whether two triangles (2,3,3) have a place in common, in exact arithmetic: none of the directions that can separate two triangles
+def _intersect(pair: NDArray) -> bool:
+    """Whether two triangles (2,3,3) have a point in common, in exact arithmetic: none of the directions that can separate two triangles
     does (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244).
 
-    open3d tests pairs with a tolerance: it takes pairs in one plane that lie beside each other for ones that meet.
+    open3d tests pairs with a tolerance: it takes pairs in one plane that lie beside each other for ones that touch.
     """
     a, b = np.vectorize(Fraction, otypes=[object])(pair)
     ea, eb = np.roll(a, -1, axis=0) - a, np.roll(b, -1, axis=0) - b

@@ -23,6 +23,13 @@ def edges(triangles: NDArray) -> NDArray:
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
+def compact(points: NDArray, cells: NDArray) -> tuple[NDArray, NDArray]:
+    """The points (n,3) that cells (m,k) use, and the cells renumbered."""
+    used = np.zeros(len(points), bool)
+    used[cells] = True
+    return points[used], (np.cumsum(used) - 1)[cells]
+
+
 def areas(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """Areas (m,)."""
     x, y, z = _normals(points, triangles)
@@ -52,8 +59,8 @@ def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
     a, b = np.concatenate([triangles, triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]])[:, :2].T
     pairs = np.unique(np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)]), axis=0)
     order = np.argsort(points, kind="stable")
-    place = np.searchsorted(points, pairs[:, 0], sorter=order)
-    own = order[np.minimum(place, len(points) - 1)]
+    row = np.searchsorted(points, pairs[:, 0], sorter=order)
+    own = order[np.minimum(row, len(points) - 1)]
     pairs, own = pairs[points[own] == pairs[:, 0]], own[points[own] == pairs[:, 0]]
     start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=len(points)))])
     return start, pairs[np.argsort(own, kind="stable"), 1].astype(np.int64)

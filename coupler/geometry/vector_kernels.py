@@ -6,6 +6,12 @@ from .matrix_kernels import ROUNDING
 
 
 @njit(cache=True, nogil=True, inline="always")
+def cross(u: Vector, v: Vector) -> Vector:
+    """Vector product."""
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@njit(cache=True, nogil=True, inline="always")
 def area_vector(A: Floats, B: Floats, C: Floats) -> Vector:
     """(B - A) x (C - A): twice the area of a triangle along its outward normal."""
     u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]

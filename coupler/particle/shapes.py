@@ -83,7 +83,7 @@ def of_surface(
     source = RaySurface(x, triangles)
     a, b, c = np.abs(x).max(axis=0).tolist()
     cloud, each = packing.fill(source.inside, (a, b, c), volume, count)
-    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), source.closest)
+    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), lambda at: source.feet(at)[0])
     vertices, _ = correct_volume(vertices, corners, volume, 0.5 * each ** (1.0 / 3.0))
     area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
     body = Body(cloud, each, vertices, corners, area, half)

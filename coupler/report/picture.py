@@ -26,7 +26,7 @@ from ..files.fields import Fields
 from ..files.outputs import MARK, replacing
 from ..files.result import COLD, DOMAINS, Result
 from ..files.summary import Values
-from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
+from ..geometry.sections import crossing, section_loops, section_of_tets, section_of_triangles
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from .fields import FIELDS, at_nodes, from_points
@@ -164,7 +164,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, 
 
 def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
     """Cut tetrahedra alone; arguments as for `cut`."""
-    polygons, _ = cut_tets(target.points, target.cells, at.plane)
+    polygons, _ = section_of_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
     x, z = corners[..., 0], corners[..., 1]
@@ -185,7 +185,7 @@ def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]
     skin, owner = boundary_faces(target.cells)
     body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
     parts = [
-        crossing(target.points, cut_triangles(target.points, skin[which], at.plane), at.plane)[0] * MICRO
+        crossing(target.points, section_of_triangles(target.points, skin[which], at.plane), at.plane)[0] * MICRO
         for which in (body == 0, body > 0)
     ]
     is_substrate = np.repeat([len(parts[1]) > 0, False], [len(part) for part in parts])

@@ -16,7 +16,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ..files.fields import Fields
 from ..files.result import Result
-from ..geometry.sections import crossing, cut_tets, section_loops
+from ..geometry.sections import crossing, section_loops, section_of_tets
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
 from .picture import MICRO, Range, Stage, read, surfaces_cut, view
@@ -131,7 +131,7 @@ def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: N
 
 
 def _target_cut(target: Fields, nodal: Mapping[str, NDArray], at: Stage, box: NDArray) -> Mesh:
-    polygons, _ = cut_tets(target.points, target.cells, at.plane)
+    polygons, _ = section_of_tets(target.points, target.cells, at.plane)
     near = _reaches_into(crossing(target.points, polygons, at.plane)[0] * MICRO, box)
     edges, corner = np.unique(np.sort(polygons[near], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
     corner = corner.reshape(-1, 4)

@@ -1,7 +1,7 @@
 """Records of a conversion: the cloud of points that goes in, the bodies of tetrahedra that come out, the reports."""
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,39 +12,10 @@ from ..geometry.triangles import open_or_double
 from ..physics.metal import MetalState
 
 MIN_POINTS = 50  # of a body
-
-
-class Report(TypedDict, total=False):
-    """Mesh report of one body, or of a whole splat: sums or worst values over its bodies; all other keys are of its largest body."""
-
-    method: str
-    failed: list[str]  # strategies that failed before, with the reason
-    points: int
-    tets: int
-    nodes: int
-    surface: list[int]  # triangles of each closed surface
-    element_size_m: float
-    volume_m3: float
-    volume_error_before: float  # relative, of the shape before its volume is corrected
-    moved_m: float  # by which the surface is moved to correct the volume
-    gamma_min: float
-    gamma_mean: float
-    dihedral_min_deg: float
-    step_length_min_m: float
-    dt_s: float
-    width_m: float
-    top_m: float
-    source_width_m: float
-    source_top_m: float
-    outside_half: float
-    outside_max: float  # spacings
-    transfer: dict[str, float]  # relative errors, see `transfer.transfer`
-    seconds: dict[str, float]
-    # of a whole splat only
-    bodies: int
-    lost_points: int
-    wall_s: float
-
+#: Mesh report of one body, or of a whole splat: sums or worst values over its bodies, and all other keys of its largest body. failed:
+#: strategies that failed before, with the reason; surface: triangles of each closed surface; volume_error_before: relative, before the
+#: surface is moved by moved_m to correct it; outside_half, outside_max: see `quality.fit_of`; transfer: see `transfer.transfer`.
+Report: TypeAlias = dict[str, Any]
 
 MAX_BOX = 5e7  # cubes of the spacing in the box around a cloud: those of the density are searched
 LARGEST = 1e30  # of any value, SI: its square is still a number
@@ -54,11 +25,10 @@ LARGEST = 1e30  # of any value, SI: its square is still a number
 class Cloud(MetalState):
     """Points of one splat and their state; a field that the cloud does not have is None. SI units.
 
-    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume;
-    rho: reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J
-    per reference m3. surface: vertices (k,3) and
-    outward triangles (m,3) of the body's deformed carried surface, cavities included. wave_speed: m/s, for the explicit time step
-    in the report.
+    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume; rho:
+    reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J per
+    reference m3. surface: vertices (k,3) and outward triangles (m,3) of the body's deformed carried surface, cavities included.
+    wave_speed: m/s, for the explicit time step in the report.
     """
 
     x: Annotated[np.ndarray, Rows(3)]
@@ -167,7 +137,7 @@ class Body(MetalState):
     energy: np.ndarray | None = None
     stress: np.ndarray | None = None
     J: np.ndarray | None = None
-    report: Report = field(default_factory=Report)
+    report: Report = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -85,9 +85,9 @@ def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str)
         except SplatError:
             continue
         if len(shape.pieces) > 1:
-            places = [shape.field.origin + cells * shape.field.h for cells in shape.pieces]
-            nearest = np.argmin([cKDTree(place).query(body.cloud.x)[0] for place in places], axis=0)
-            parts = [index[nearest == i] for i in range(len(places))]
+            cells_x = [shape.field.origin + cells * shape.field.h for cells in shape.pieces]
+            nearest = np.argmin([cKDTree(x).query(body.cloud.x)[0] for x in cells_x], axis=0)
+            parts = [index[nearest == i] for i in range(len(cells_x))]
             if large := [part for part in parts if len(part) >= MIN_POINTS]:
                 return [(part, shape_of(part)) for part in large]
         break
@@ -135,18 +135,10 @@ def _total(reports: list[Report], sorting: float) -> Report:
     for report in reports:
         for stage, spent in report["seconds"].items():
             seconds[stage] = seconds.get(stage, 0.0) + spent
-    total: Report = {
-        **reports[0],
-        "bodies": len(reports),
-        "tets": sum(report["tets"] for report in reports),
-        "nodes": sum(report["nodes"] for report in reports),
-        "volume_m3": sum(report["volume_m3"] for report in reports),
-        "gamma_min": min(report["gamma_min"] for report in reports),
-        "dihedral_min_deg": min(report["dihedral_min_deg"] for report in reports),
-        "step_length_min_m": min(report["step_length_min_m"] for report in reports),
-        "failed": [reason for report in reports for reason in report["failed"]],
-        "seconds": seconds,
-    }
-    if "dt_s" in reports[0]:
-        total["dt_s"] = min(report["dt_s"] for report in reports)
-    return total
+    failed = [reason for report in reports for reason in report["failed"]]
+    sums = {key: sum(report[key] for report in reports) for key in ("tets", "nodes", "volume_m3")}
+    smallest: list[str] = [
+        key for key in ("gamma_min", "dihedral_min_deg", "step_length_min_m", "dt_s") if key in reports[0]
+    ]
+    worst = {key: min(report[key] for report in reports) for key in smallest}
+    return {**reports[0], "bodies": len(reports), "failed": failed, "seconds": seconds, **sums, **worst}

@@ -1,8 +1,7 @@
 """A body as a fraction of metal on a grid, from its carried surface or from its points, and the level that encloses its volume.
 
-Both sources give a smooth field that is 1 in the metal and 0 outside. Features that the smoothing does not resolve (lips
-thinner than about 1.3 sigma, folds, overlaps) are lost: the level set of a smooth field is a closed surface that does not
-intersect itself.
+Both sources give a smooth field that is 1 in the metal and 0 outside. Features that the smoothing does not resolve (lips thinner than
+about 1.3 sigma, folds, overlaps) are lost: the level set of a smooth field is a closed surface that does not intersect itself.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ class Field:
     h: float
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) at places x (m,3), linear between the centres, 0 outside the grid."""
+        """Values (m,) at points x (m,3), linear between the centres, 0 outside the grid."""
         return ndimage.map_coordinates(self.values, self.index(x), order=1, mode="constant", cval=0.0, prefilter=False)
 
     def index(self, x: np.ndarray) -> np.ndarray:
@@ -117,7 +116,7 @@ def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
     own = cKDTree(keep).query(at)[0] <= cKDTree(others).query(at)[0]
     values = np.zeros_like(field.values)
     values[tuple(near[own].T)] = field.values[tuple(near[own].T)]
-    return Field(_smooth(values, 0.7), field.origin, field.h)  # smooths the step at the cut
+    return Field(_smooth(values, 0.7), field.origin, field.h)  # smooths the step between the bodies
 
 
 def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.ndarray]]:

@@ -58,7 +58,7 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
 
 @njit(cache=True, nogil=True)
 def least_squares_weights(y: Floats, x: Floats, near: Ints, ridge: float, phi: Floats) -> None:
-    """Weights phi (m,k) that a linear moving least-squares fit at places y (m,3) gives to the points near[a] (m,k) of x (n,3).
+    """Weights phi (m,k) that a linear moving least-squares fit at points y (m,3) gives to the points near[a] (m,k) of x (n,3).
 
     Points count by (1 - r^2 / R^2)^2, R a little beyond the farthest. The fit is centred on their weighted mean, so that
     a vanishing spread in one direction, damped by `ridge` (m2), leaves the mean and not infinity.

@@ -1,4 +1,4 @@
-"""From the points of one body to its tetrahedra: a list of strategies, each mesh held against the same limits."""
+"""From the points of one body to its tetrahedra: a list of strategies, each mesh checked against the same limits."""
 
 import time as clock
 from collections.abc import Callable
@@ -159,8 +159,10 @@ def build_mesh(
 
     shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
     report["volume_error_before"] = shape.volume_error
+    if (outer := sum(enclosed_volume(*shell) > 0.0 for shell in shape.shells)) != 1:
+        raise SplatError(f"the surface consists of {outer} separate pieces")
     level_set = surface.LevelSet(shape.field, shape.level, size)
-    shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
+    shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in shape.shells])
     shells, moved = surface.correct_volume(shells, solid, MAX_OFFSET * size)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     for shell in shells:
@@ -169,14 +171,6 @@ def build_mesh(
     points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm), time_limit))
     report |= check_mesh(points, tets, solid, size)
     return points, tets, report
-
-
-def _one_piece(shape: Shape) -> list[surface.Surface]:
-    """The outer surface of the one piece of a shape, and its cavities. Raises SplatError if it is in pieces."""
-    outer = [shell for shell in shape.shells if enclosed_volume(*shell) > 0.0]
-    if len(outer) != 1:
-        raise SplatError(f"the surface consists of {len(outer)} separate pieces")
-    return shape.shells
 
 
 def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) -> Report:

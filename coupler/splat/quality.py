@@ -6,6 +6,7 @@ from scipy.spatial import ConvexHull
 from ..geometry.graph import connected_parts
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import FACES, boundary_faces, volumes
+from ..geometry.triangles import compact
 from .cloud import Cloud, Report
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -43,13 +44,6 @@ def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return 1.0 / np.sqrt(3.0 / 7.0 * np.trace(M, axis1=1, axis2=2) + 4.0 / 7.0 * np.linalg.eigvalsh(M)[:, 2])
 
 
-def compact(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points (n,3) that cells (m,k) use, and the cells renumbered."""
-    used = np.zeros(len(points), bool)
-    used[cells] = True
-    return points[used], (np.cumsum(used) - 1)[cells]
-
-
 def pieces(points: np.ndarray, tets: np.ndarray) -> int:
     """Number of parts of a mesh that share no node."""
     nodes, conn = compact(points, tets)
@@ -67,8 +61,8 @@ def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
     source = cloud.x if cloud.surface is None else cloud.surface[0]
     out = RaySurface(x, triangles).distance_outside(cloud.x) / cloud.spacing
 
-    def width(places: np.ndarray) -> float:
-        return float(np.sqrt(4.0 / np.pi * ConvexHull(places[:, :2]).volume))
+    def width(x: np.ndarray) -> float:
+        return float(np.sqrt(4.0 / np.pi * ConvexHull(x[:, :2]).volume))
 
     return {
         "width_m": width(x), "top_m": float(x[:, 2].max()),

@@ -5,9 +5,8 @@ from skimage.measure import marching_cubes
 
 from ..geometry import triangles as triangulated
 from ..geometry.graph import connected_parts
-from ..geometry.triangles import enclosed_volume
+from ..geometry.triangles import compact, enclosed_volume
 from .field import Field
-from .quality import compact
 
 Surface = tuple[np.ndarray, np.ndarray]
 

@@ -25,7 +25,7 @@ RIDGE = 0.02  # of a spacing: points with less thickness count as a plane
 
 
 class Fit:
-    """The linear fit at places y (m,3) m from points x (n,3) m with the given spacing."""
+    """The linear fit at points y (m,3) m from points x (n,3) m with the given spacing."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray, spacing: float):
         near = cKDTree(x).query(y, k=min(NEIGHBOURS, len(x)))[1]
@@ -36,7 +36,7 @@ class Fit:
         )
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Values of the points (n,) or (n,k), at the places: (m,) or (m,k)."""
+        """Values of the points (n,) or (n,k), at the points y: (m,) or (m,k)."""
         if values.ndim == 2:
             return np.stack([self(column) for column in values.T], axis=1)
         around = values[self.near]

@@ -112,7 +112,7 @@ def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> 
     assert enclosed_volume(body.vertices, body.triangles) == pytest.approx(SPHERE * D**3, rel=1e-6)
     edges = np.linalg.norm(body.vertices[body.triangles] - body.vertices[np.roll(body.triangles, 1, axis=1)], axis=2)
     assert edges.mean() == pytest.approx(0.8 * body.spacing, rel=0.2)
-    apart = RaySurface(solid.points * D, solid.triangles).closest(body.vertices) - body.vertices
+    apart = RaySurface(solid.points * D, solid.triangles).feet(body.vertices)[0] - body.vertices
     assert np.linalg.norm(apart, axis=1).max() < 0.05 * body.spacing
 
 

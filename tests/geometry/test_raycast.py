@@ -16,7 +16,7 @@ def test_the_closest_point_of_a_triangle() -> None:
     x = np.array([[0.2, 0.2, 1.0], [-1, -1, 0], [0.5, -1, 2], [1, 1, 0], [3, -0.1, 1]])
     wanted = np.array([[0.2, 0.2, 0], [0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [1, 0, 0]])
     surface = RaySurface(corners * UM, np.array([[0, 1, 2]]), closed=False)
-    np.testing.assert_allclose(surface.closest(x * UM), wanted * UM, atol=1e-6 * UM)
+    np.testing.assert_allclose(surface.feet(x * UM)[0], wanted * UM, atol=1e-6 * UM)
 
 
 def test_distances_from_a_ball(rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.geometry.locate import in_tets
-from coupler.geometry.sections import crossing, cut_tets, section_loops
+from coupler.geometry.sections import crossing, section_loops, section_of_tets
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
@@ -39,7 +39,7 @@ def area(x: np.ndarray, z: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("plane", [0.0, 0.31, -0.7])
 def test_cut_of_tetrahedra_is_exact(plane):
     points, tets = block(2.0, 3.0, 0.5)
-    edges, owner = cut_tets(points, tets, plane)
+    edges, owner = section_of_tets(points, tets, plane)
     corners, share = crossing(points, edges, plane)
     assert (share >= 0).all()
     assert (share <= 1).all()
