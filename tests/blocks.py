@@ -77,7 +77,7 @@ class Blocks:
 
     def energy(self) -> float:
         t, c, b = self.target, self.contact, self.bond
-        held = t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]
+        held = t.kinetic() + t.elastic() + t.balance.plastic + t.balance.numerical
         if c is not None:
             held += c.pairs.penalty_energy + c.pairs.friction_heat + c.lost
         return float(held + (b.stored + b.dissipated if b is not None else 0.0))

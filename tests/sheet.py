@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from coupler.contact.bond import Bond
 from coupler.contact.contact import Contact
-from coupler.contact.hold import Hold, bonds_at
 from coupler.contact.law import stiffness
 from coupler.contact.model import Nodes
+from coupler.contact.particle_bonds import ParticleBonds
 from coupler.geometry.triangles import rings
 
 STRENGTH, ENERGY, SHEAR = 4e8, 50.0, 20.0  # Pa, J/m2, J/m2 in shear
@@ -26,8 +27,8 @@ class Sheet:
         corner = np.arange(n * n).reshape(n, n)
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
-        bond = bonds_at(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law)
-        self.hold = Hold(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
+        bond = Bond.tie(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, loose=True, **law)
+        self.hold = ParticleBonds(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
         k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
         self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)

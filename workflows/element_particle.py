@@ -89,7 +89,7 @@ class ElementImpact:
         domain, _ = merge(parts, (0.0, 0.0, 0.0))
         self.bodies = substrate.remade(domain)
         self.target = t = self.bodies.target
-        self.bodies.contact = self.bodies._new_contact(t.nodes.x.copy())
+        self.bodies.touch()
         self.elements = self.bodies.body == BODY
         self.nodes = np.unique(t.mesh.conn[self.elements])
         self.top = np.unique(t.mesh.facets[t.mesh.sets["top"]])
@@ -103,7 +103,14 @@ class ElementImpact:
     def energy(self) -> float:
         """Sum of all energies of the ledger, J."""
         t = self.target
-        return float(t.kinetic() + t.elastic() + t.sums[0] + t.sums[1] + t.absorbed + self.bodies.energy)
+        return float(
+            t.kinetic()
+            + t.elastic()
+            + t.balance.plastic
+            + t.balance.numerical
+            + t.balance.absorbed
+            + self.bodies.energy
+        )
 
     @property
     def sinking(self) -> float:
@@ -183,7 +190,7 @@ def by_elements(case: str, size: float) -> dict[str, object]:
     impact = ElementImpact(plan(scene_of(case, size)), size * 1e-6)
     values = strike(impact)
     t, K = impact.target, impact.kinetic_0
-    own, whole, viscous = impact.plastic_work, float(t.sums[0]), float(t.sums[1])
+    own, whole, viscous = impact.plastic_work, t.balance.plastic, t.balance.numerical
     shares = (own, whole - own, viscous, impact.energy() - impact.energy_0)
     return {
         "points": len(impact.nodes), "elements": len(t.mesh.conn), "steps": impact.steps,

@@ -50,9 +50,9 @@ class Profile:
         hold, exposure = impact.hold, impact.exposure
         if impact.sinking > 0.0 or hold is None or exposure is None:
             return
-        x, bond = impact.surface.positions(impact.particle.x)[hold.rows], hold.bond
-        flow = flow_stresses(impact)[hold.rows]
-        values = bond.strength[:, 0], flow, bond.energy[:, 0], exposure.clean[hold.rows, 0]
+        x, bond = impact.surface.positions(impact.particle.x)[hold.bond.nodes], hold.bond
+        flow = flow_stresses(impact)[hold.bond.nodes]
+        values = bond.strength[:, 0], flow, bond.energy[:, 0], exposure.clean[hold.bond.nodes, 0]
         self.values = np.hypot(x[:, 0], x[:, 1]), bond.area, *values
 
 

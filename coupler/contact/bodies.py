@@ -10,13 +10,14 @@ from ..core.arrays import Histories
 from ..core.records import Shape
 from ..errors import CheckpointError, SolverError
 from . import broad
+from . import kernels as k
 from .bond import Bond
 from .contact import Contact, ContactState
 from .law import stiffness
 from .model import ALL, ANY, Nodes, new_history
 from .surfaces import Surfaces, neighbours
 
-SKIN = 0.15  # spacings that a search looks farther than it must
+SKIN = 0.15  # spacings added to the search distance
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
@@ -30,7 +31,7 @@ class ContactPast(NamedTuple):
     dropped_energy: float = 0.0
     dropped: int = 0
 
-    def on(self, node: np.ndarray, count: int) -> "ContactPast":
+    def renumbered(self, node: np.ndarray, count: int) -> "ContactPast":
         """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 of a removed node."""
         nodes, kept = new_history(count), node >= 0
         nodes[node[kept]] = self.nodes[kept]
@@ -64,7 +65,7 @@ class BodyContact:
             )
         self.surfaces = surfaces
         self.lost = 0.0  # energy lost where compression passes from bonds to the contact (gained: negative), J
-        self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold
+        self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes the bonded nodes as they are
         self._body_of = np.full(len(x), ANY)
         self._body_of[surfaces.facets] = surfaces.body[:, None]
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
@@ -89,8 +90,8 @@ class BodyContact:
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """The facets of others that each body's nodes can meet: surfaces farther apart than half the size of the largest splat do not
-        come together while they are here."""
+        """The facets of others that each body's nodes can touch: surfaces farther apart than half the size of the largest splat do not
+        touch during an impact."""
         s = self.surfaces
         low, high = s.boxes(x)
         boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
@@ -149,7 +150,7 @@ class BodyContact:
             self.forces(0.0, x, rest, rest.copy(), active)
             self.lost += given_up + before - self.energy
 
-    def meet(self, depth: np.ndarray) -> None:
+    def ignore_depth(self, depth: np.ndarray) -> None:
         """Start contacts of nodes without contact force that lie depth (N,) m deep in another body; all of this depth is ignored."""
         c, own = self.pairs, depth[self.pairs.points.node]
         new = (own > 0.0) & (c.depth == 0.0)
@@ -163,7 +164,10 @@ class BodyContact:
 
     def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3). active: as in `search`."""
-        self.pairs.forces_between(dt, Nodes(x, v, f, len(x) if active is None else active))
+        c, nodes = self.pairs, Nodes(x, v, f, len(x) if active is None else active)
+        k.gather(c.rows, c.points, nodes)
+        c.forces(dt, nodes)
+        k.scatter(c.rows, c.points, nodes)
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
         """Heat of friction since the last call, for `Target.warm`: (elements, J), the elements behind nodes and facets that slid."""
@@ -188,12 +192,12 @@ class BodyContact:
         self._bonded, self._is_new, self.lost = state.bonded.copy(), False, state.lost
 
     def past(self) -> ContactPast:
-        """Data from which the contact of another set of bodies continues (`go_on`). Call `heat` before."""
+        """Data from which the contact of another set of bodies continues. Call `heat` before."""
         c, nodes = self.pairs, new_history(len(self._bonded))
         nodes[c.points.node] = c.history
         return ContactPast(nodes, self.lost, c.friction_heat, c.dropped_energy, c.dropped)
 
-    def go_on(self, past: ContactPast) -> None:
+    def continue_from(self, past: ContactPast) -> None:
         """Continue from the contact of the previous set of bodies: keep its friction springs and its energy sums."""
         c = self.pairs
         c.history[:] = past.nodes[c.points.node]

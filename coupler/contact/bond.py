@@ -26,17 +26,17 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 class Bond:
     """Nodes of one body tied to fixed points on facets of another, each by a cohesive spring of its own.
 
-    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent:
-    the envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of mixed modes for
-    the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage never heals;
-    compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the contact
-    of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
+    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent: the
+    envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, linear law of mixed modes (G_I/G_Ic +
+    G_II/G_IIc = 1) for the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage
+    never heals; compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the
+    contact of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
 
     Of n bonds: nodes, or points that are not nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
     Pa and energy (n,2) J/m2, normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0:
     none); loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m, elastic;
-    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies. exponent:
-    of the power law of mixed modes; stored, dissipated: energies of all, J.
+    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies. stored,
+    dissipated: energies of all, J.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
@@ -55,7 +55,6 @@ class Bond:
     slid: Annotated[np.ndarray, Rows()]
     spent: Annotated[np.ndarray, Rows()]
     heated: Annotated[np.ndarray, Rows()]
-    exponent: float = 1.0
     stored: float = 0.0
     dissipated: float = 0.0
 
@@ -66,43 +65,38 @@ class Bond:
         self._moved = np.zeros(0, np.int64)  # rows whose node `reduce_overlap` leads to its new facet
 
     @classmethod
-    def between(
-        cls,
-        where: Interface,
-        surfaces: Surfaces,
-        x: np.ndarray,
-        stiffness: float,
-        strength: float | np.ndarray = np.inf,
-        energy: float | np.ndarray = np.inf,
-        shear_strength: float | np.ndarray | None = None,
-        shear_energy: float | np.ndarray | None = None,
-        exponent: float = 1.0,
-        rewelds: float | np.ndarray = 0.0,
-        xp: Any = None,
-    ) -> "Bond":
-        """Tie the nodes of an interface in their present positions, without a force. x (N,3) m; stiffness Pa/m (see `penalty`);
-        xp (n,3) m: the tied points, if these are not nodes.
+    def tie(
+        cls, nodes: np.ndarray, triangles: np.ndarray, p: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
+        strength: float | np.ndarray = np.inf, energy: float | np.ndarray = np.inf,
+        shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
+        rewelds: float | np.ndarray = 0.0, loose: bool = False,
+    ) -> "Bond":  # fmt: skip
+        """Tie points `nodes` (n,) of p (.,3) m to triangles (n,3) of nodes x (N,3) m as they lie now, without a force; area (n,) m2 of
+        each, those without area are left out; stiffness Pa/m (see `penalty`).
 
-        strength Pa and energy J/m2: of the normal direction, one value or one for each row of the interface; the shear values are
-        equal to them by default. exponent, rewelds: as in `Bond`. Rows without area are left
-        out. Raises SolverError for a strength or energy that does not fit this stiffness.
+        strength Pa and energy J/m2: of the normal direction, one value or (n,); the shear values are equal to them by default. rewelds,
+        loose: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
         """
-        kept = where.area > 0.0
-        nodes, triangles = where.nodes[kept], np.ascontiguousarray(surfaces.facets[where.facet[kept]])
-        weights, gap = _foot((x if xp is None else xp)[nodes], x[triangles])
+        kept = area > 0.0
+        nodes, triangles = np.asarray(nodes[kept], np.int64), np.ascontiguousarray(triangles[kept], np.int64)
+        weights, gap = _foot(p[nodes], x[triangles])
 
         def columns(*values: float | np.ndarray) -> np.ndarray:
             return np.stack([np.broadcast_to(np.asarray(value, float), kept.shape)[kept] for value in values], axis=1)
 
         bond = new_rows(
-            cls, len(nodes), nodes=nodes, triangles=triangles, weights=weights, gap=gap, area=where.area[kept],
-            stiffness=np.full(len(nodes), float(stiffness)),
+            cls, len(nodes), nodes=nodes, triangles=triangles, weights=weights, gap=gap, area=area[kept],
+            stiffness=np.full(len(nodes), float(stiffness)), loose=np.full(len(nodes), loose),
             strength=columns(strength, strength if shear_strength is None else shear_strength),
             energy=columns(energy, energy if shear_energy is None else shear_energy), rewelds=columns(rewelds)[:, 0],
         )  # fmt: skip
-        bond.exponent = float(exponent)
         _check(bond)
         return bond
+
+    @classmethod
+    def between(cls, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float, **law: Any) -> "Bond":
+        """`tie` the nodes of an interface to its facets, with the same law."""
+        return cls.tie(where.nodes, surfaces.facets[where.facet], x, x, where.area, stiffness, **law)
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -124,7 +118,7 @@ class Bond:
         leave compression to it (`bond_kernels.bond_forces`)."""
         ties = k.Ties(
             self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, *self._inverses, self.rewelds,
-            self.loose, self.damage, self.opening, self.traction, self.slid, self.spent, self.exponent,
+            self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
         )  # fmt: skip
         self.stored, lost = k.bond_forces(xp, x, ties, depth, active, f_point, f)
         self.dissipated += lost
@@ -133,6 +127,11 @@ class Bond:
         """Heat (n,) J of fracture since the last call."""
         heat, self.heated = self.spent - self.heated, self.spent.copy()
         return heat
+
+    @property
+    def work(self) -> float:
+        """Energy that the bonds store and have dissipated, J."""
+        return self.stored + self.dissipated
 
     @property
     def resistance(self) -> np.ndarray:
@@ -152,13 +151,14 @@ class Bond:
 
     def load(self, size: int) -> np.ndarray:
         """Row sums (size,) of the springs' stiffness matrix, N/m: the largest sum / mass bounds omega^2 (Gershgorin)."""
-        load = np.zeros(size)
-        self.load_on(load, load)
-        return load
+        ends = np.concatenate([self.nodes[:, None], self.triangles], axis=1)
+        return np.bincount(ends.ravel(), self.row_sums().ravel(), size)
 
-    def load_on(self, load_point: np.ndarray, load: np.ndarray) -> None:
-        """Add `load` to the loads load_point of the tied points and load of the nodes, N/m."""
-        k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load_point, load)
+    def row_sums(self) -> np.ndarray:
+        """Row sums (n,4) of the stiffness matrix of each spring, N/m: of its point, and of the corners of its triangle."""
+        spring, share = self.stiffness * self.area, np.abs(self.weights)
+        whole = 1.0 + share.sum(axis=1)
+        return np.concatenate([(spring * whole)[:, None], (spring[:, None] * share) * whole[:, None]], axis=1)
 
     def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add to f (N,3) N the product of the springs' stiffness matrix with a small motion w (N,3) m; no bond may be broken. active:
@@ -240,11 +240,7 @@ class Bond:
 
     @classmethod
     def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
-        """One set out of several of the same exponent, in their order; their energies are added. Raises SolverError otherwise."""
-        if len({bond.exponent for bond in bonds}) != 1:
-            raise SolverError(
-                "bonds to join: at least one set is needed, and all sets must have the same mixed-mode exponent"
-            )
+        """One set out of several, one or more, in their order; their energies are added."""
         stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
         return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
@@ -271,8 +267,8 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _check(bond: Bond) -> None:
     """Raise SolverError unless the law of every bond can be followed."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
-    if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0) and bond.exponent > 0.0):
-        raise SolverError("a bond needs positive strength, stiffness and exponent, and an energy of zero or more")
+    if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
+        raise SolverError("a bond needs positive strength and stiffness, and an energy of zero or more")
     full = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
     short = (energy > 0.0) & (energy < full) & np.isfinite(full)
     if short.any():

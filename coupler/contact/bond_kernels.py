@@ -1,4 +1,4 @@
-"""Bonds of nodes to triangles: which faces which, damage, cohesive forces (numba). Rows in order: the same sums every time."""
+"""Bonds of nodes to triangles: pairing, damage, cohesive forces (numba). Rows in order: the same sums every time."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Bools, Floats, Ints
-from ..geometry.vector_kernels import add, area_vector, from_foot
+from ..core.arrays import Bools, Floats, Ints, Vector
+from ..geometry.vector_kernels import add, area_vector, cross, from_foot
 from .closest import closest_on_triangle
 
 
 class Ties(NamedTuple):
-    """Bonds between points and points on triangles, one row per bond as in `bond.Bond`. Columns: normal, shear. weakness (n,2): 1 /
-    strength, 1/Pa; ease (n,2): 1 / fracture energy, m2/J; alpha: exponent of the power law of mixed modes.
+    """Bonds between points and points on triangles, one row per bond as in `bond.Bond`. Columns: normal, shear. inv_strength (n,2)
+    1/Pa; inv_energy (n,2) m2/J: 1 / fracture energy.
 
     gap: distance of the point above the triangle, along its normal n, at which the bond has no force. With k the stiffness, Pa/m, and d
     from the bond's point on the triangle to the other point, the potential is
@@ -31,8 +31,8 @@ class Ties(NamedTuple):
     gap: Floats
     area: Floats
     stiffness: Floats
-    weakness: Floats
-    ease: Floats
+    inv_strength: Floats
+    inv_energy: Floats
     rewelds: Floats
     loose: Bools
     damage: Floats
@@ -40,7 +40,6 @@ class Ties(NamedTuple):
     traction: Floats
     slid: Floats
     spent: Floats
-    alpha: float
 
 
 @njit(cache=True, nogil=True)
@@ -48,11 +47,11 @@ def facing(
     points: Floats, outward: Floats, start: Ints, boxes: Ints, ids: Ints, facets: Ints, x: Floats, face: Ints, weights:
     Floats, gap: Floats,
 ) -> None:  # fmt: skip
-    """The closest triangle that each point looks at, if any: face (n,), weights (n,3), signed gap (n,) m are written.
+    """The closest triangle that faces each point, if any: face (n,), weights (n,3), signed gap (n,) m are written.
 
-    outward (n,3): normals of the surface at the points; a triangle is looked at when its normal is against it. start,
-    boxes: candidates as `broad.candidates` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is
-    closest, the triangle that looks most towards the point says inside or outside.
+    outward (n,3): normals of the surface at the points; a triangle faces a point when its normal is against the point's. start, boxes:
+    candidate pairs as `broad.pairs_within` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is closest, the
+    triangle whose normal is nearest to the line to the point decides inside or outside.
     """
     for i in range(len(points)):
         p, o = points[i], outward[i]
@@ -79,25 +78,21 @@ def facing(
 
 
 @njit(cache=True, nogil=True)
-def softening(a: float, b: float, ease_n: float, ease_s: float, alpha: float) -> float:
+def softening(a: float, b: float, inv_G_n: float, inv_G_s: float) -> float:
     """2 (1 - D) dD / dl of `yielding`, m2/J. a, b: tractions over their strengths."""
-    e = 0.0
-    if a > 0.0:
-        e += (a * a * ease_n) ** alpha
-    if b > 0.0:
-        e += (b * b * ease_s) ** alpha
-    return e ** (1.0 / alpha)
+    e = a * a * inv_G_n if a > 0.0 else 0.0
+    return e + b * b * inv_G_s if b > 0.0 else e
 
 
 @njit(cache=True, nogil=True)
 def flow(
-    a: float, b: float, soft_n: float, soft_s: float, ease_n: float, ease_s: float, alpha: float, held: float
+    a: float, b: float, soft_n: float, soft_s: float, inv_G_n: float, inv_G_s: float, intact: float
 ) -> float:  # fmt: skip
     """The multiplier dl of `yielding` that brings tractions back to the locus; infinite where nothing of the bond is left.
 
-    a, b: trial tractions over their strengths; soft = k / strength^2; held: 1 - D before the step. With m = |(a, b)| of the tractions
-    at the end of the step, m + dl softening / 2 m = held: regula falsi (Illinois) in y = c dl / (1 + c dl), which is linear in one
-    direction.
+    a, b: trial tractions over their strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| of the
+    tractions at the end of the step, m + dl softening / 2 m = intact: regula falsi (Illinois) in y = c dl / (1 + c dl), which is linear
+    in one direction.
     """
     c = 0.0
     la = lb = 0.0  # direction of the tractions as dl grows without bound
@@ -105,8 +100,8 @@ def flow(
         c, la = soft_n, a / soft_n
     if b > 0.0:
         c, lb = max(c, soft_s), b / soft_s
-    low, above = 0.0, sqrt(a * a + b * b) - held
-    high, below = 1.0, softening(la, lb, ease_n, ease_s, alpha) / (2.0 * sqrt(la * la + lb * lb)) - held
+    low, above = 0.0, sqrt(a * a + b * b) - intact
+    high, below = 1.0, softening(la, lb, inv_G_n, inv_G_s) / (2.0 * sqrt(la * la + lb * lb)) - intact
     if below >= -1e-14 * above:  # what is left is lost in rounding
         return np.inf
     dl, side = 0.0, 0
@@ -115,8 +110,8 @@ def flow(
         dl = y / (c * (1.0 - y))
         ta, tb = a / (1.0 + soft_n * dl), b / (1.0 + soft_s * dl)
         m = sqrt(ta * ta + tb * tb)
-        h = m + dl * softening(ta, tb, ease_n, ease_s, alpha) / (2.0 * m) - held
-        if abs(h) <= 1e-14 * held:
+        h = m + dl * softening(ta, tb, inv_G_n, inv_G_s) / (2.0 * m) - intact
+        if abs(h) <= 1e-14 * intact:
             break
         if h > 0.0:
             low, above = y, h
@@ -131,33 +126,31 @@ def flow(
 
 @njit(cache=True, nogil=True)
 def yielding(
-    wide: float, slip: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
-    D: float, most: float,
+    wide: float, slip: float, k: float, inv_strength: Floats, inv_G: Floats, D: float, most: float
 ) -> tuple[float, float, float]:  # fmt: skip
     """Shares of the elastic opening and of the elastic slip that become permanent, and the damage then, of a bond of damage D.
 
-    wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; weakness: 1/strength in tension and shear, 1/Pa; ease: 1/fracture
-    energy, m2/J. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of Camanho & Davila (2002),
+    wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; inv_strength (2,) 1/Pa: in tension and shear; inv_G (2,) m2/J: 1 /
+    fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of Camanho & Davila (2002),
     NASA/TM-2002-211737. Beyond it the opening flows normal to this locus (Drucker 1951):
 
-        dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = ((t_n dp_n / G_I)^alpha + (t_s dp_s / G_II)^alpha)^(1/alpha) / 2 (1 - D)
+        dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = (t_n dp_n / G_I + t_s dp_s / G_II) / 2 (1 - D)
 
-    Then in one direction the softening is linear, and tractions that keep their ratio end where (G_I/G_Ic)^alpha +
-    (G_II/G_IIc)^alpha = 1. t_n, t_s and D are those of the end of the step. From the damage `most` on the bond flows at the strength
-    that is left.
+    Then in one direction the softening is linear, and tractions that keep their ratio end where G_I/G_Ic +
+    G_II/G_IIc = 1. t_n, t_s and D are those of the end of the step. From the damage `most` on the bond flows at the strength left.
     """
-    a, b = k * wide * weakness_n, k * slip * weakness_s
+    a, b = k * wide * inv_strength[0], k * slip * inv_strength[1]
     if a * a + b * b <= (1.0 - D) ** 2:
         return 0.0, 0.0, D
-    soft_n, soft_s = k * weakness_n**2, k * weakness_s**2
-    dl = flow(a, b, soft_n, soft_s, ease_n, ease_s, alpha, 1.0 - D)
+    soft_n, soft_s = k * inv_strength[0] ** 2, k * inv_strength[1] ** 2
+    dl = flow(a, b, soft_n, soft_s, inv_G[0], inv_G[1], 1.0 - D)
     softened = 1.0
     if dl < np.inf:
         ta, tb = a / (1.0 + soft_n * dl), b / (1.0 + soft_s * dl)
-        softened = D + dl * softening(ta, tb, ease_n, ease_s, alpha) / (2.0 * sqrt(ta * ta + tb * tb))
+        softened = D + dl * softening(ta, tb, inv_G[0], inv_G[1]) / (2.0 * sqrt(ta * ta + tb * tb))
     if softened >= most:
         softened = max(D, most)
-        dl = flow(a, b, soft_n, soft_s, 0.0, 0.0, 1.0, 1.0 - softened) if softened < 1.0 else np.inf
+        dl = flow(a, b, soft_n, soft_s, 0.0, 0.0, 1.0 - softened) if softened < 1.0 else np.inf
     if dl == np.inf:
         return 1.0, 1.0, 1.0
     return soft_n * dl / (1.0 + soft_n * dl), soft_s * dl / (1.0 + soft_s * dl), softened
@@ -168,7 +161,7 @@ def bond_forces(
     xp: Floats, x: Floats, b: Ties, depth: Floats, active: int, f_point: Floats, f: Floats
 ) -> tuple[float, float]:  # fmt: skip
     """Forces of cohesive bonds between points xp and triangles of nodes x (N,3) m, equal and opposite in force and moment, added to
-    f_point and f (N,3). The bonds move on in place. Returns the energy stored, and that dissipated by this call, J.
+    f_point and f (N,3). The bonds are updated. Returns the energy stored, and that dissipated by this call, J.
 
     depth (n,) m: penetration of a contact that presses point i; 0 where the contact presses beside it (`in_contact`); negative where it
     is free. In contact the net normal traction is compressive: delta is 0 and the gap follows the surface, so that the bond opens from
@@ -209,14 +202,12 @@ def bond_forces(
         wide = max(delta, 0.0)
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
         slip = sqrt(slip2)
-        share, part, D = yielding(
-            wide, slip, k, b.weakness[i, 0], b.weakness[i, 1], b.ease[i, 0], b.ease[i, 1], b.alpha, b.damage[i], most
-        )
+        share, part, D = yielding(wide, slip, k, b.inv_strength[i], b.inv_energy[i], b.damage[i], most)
         if share + part > 0.0:
             b.damage[i] = D
             b.gap[i] += share * wide
             b.slid[i] += part * slip
-            # the foot follows: dw = grad w . (part s)
+            # the foot moves on the triangle: dw = grad w . (part s)
             db = part * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
             dc = part * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
             wa, wb, wc = wa - db - dc, wb + db, wc + dc
@@ -239,16 +230,25 @@ def bond_forces(
         stored += 0.5 * b.area[i] * (tn * delta + k * slip2)
         stiff = b.area[i] * k
         tn *= b.area[i]
-        f0, f1, f2 = -(tn * n0 + stiff * s0), -(tn * n1 + stiff * s1), -(tn * n2 + stiff * s2)
-        # dU/dn = turn d, and d n = (1 - n n) d((B - A) x (C - A)) / size
+        add(f_point, b.nodes[i], -(tn * n0 + stiff * s0), -(tn * n1 + stiff * s1), -(tn * n2 + stiff * s2))
         turn = (tn - stiff * h) / size
-        b0, b1, b2 = -turn * (v1 * s2 - v2 * s1), -turn * (v2 * s0 - v0 * s2), -turn * (v0 * s1 - v1 * s0)
-        c0, c1, c2 = -turn * (s1 * u2 - s2 * u1), -turn * (s2 * u0 - s0 * u2), -turn * (s0 * u1 - s1 * u0)
-        add(f_point, b.nodes[i], f0, f1, f2)
-        add(f, t0, -(wa * f0 + b0 + c0), -(wa * f1 + b1 + c1), -(wa * f2 + b2 + c2))
-        add(f, t1, b0 - wb * f0, b1 - wb * f1, b2 - wb * f2)
-        add(f, t2, c0 - wc * f0, c1 - wc * f1, c2 - wc * f2)
+        n, s, u, v = (n0, n1, n2), (s0, s1, s2), (u0, u1, u2), (v0, v1, v2)
+        _add_reaction(f, b.triangles[i], b.weights[i], tn, stiff, turn, n, s, u, v)
     return stored, lost
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _add_reaction(
+    f: Floats, t: Ints, w: Floats, tn: float, stiff: float, turn: float, n: Vector, s: Vector, u: Vector, v: Vector
+) -> None:  # fmt: skip
+    """The reaction to the force -(tn n + stiff s), N, on the corners t of a triangle with edges u and v, m, at the weights w. turn N/m:
+    of the couple, dU/dn = turn d with d n = (1 - n n) d(u x v) / size."""
+    b, c = cross(v, s), cross(s, u)
+    for d in range(3):
+        force, couple_b, couple_c = -(tn * n[d] + stiff * s[d]), -turn * b[d], -turn * c[d]
+        f[t[0], d] -= w[0] * force + couple_b + couple_c
+        f[t[1], d] += couple_b - w[1] * force
+        f[t[2], d] += couple_c - w[2] * force
 
 
 @njit(cache=True, nogil=True)
@@ -272,26 +272,11 @@ def in_contact(
 
 
 @njit(cache=True, nogil=True)
-def spring_load(
-    nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, load_point: Floats, load: Floats
-) -> None:  # fmt: skip
-    """Row sums of the springs' stiffness, N/m, added to load_point and load (N,): the largest load / mass bounds omega^2 (Gershgorin).
-
-    strength (n,) N/m: of the spring between each point and its foot, in any direction.
-    """
-    for i in range(len(nodes)):
-        reach = abs(weights[i, 0]) + abs(weights[i, 1]) + abs(weights[i, 2])
-        load_point[nodes[i]] += strength[i] * (1.0 + reach)
-        for j in range(3):
-            load[triangles[i, j]] += strength[i] * abs(weights[i, j]) * (1.0 + reach)
-
-
-@njit(cache=True, nogil=True)
 def spring_forces(
     nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, active: int, f: Floats
 ) -> None:
-    """The product of the springs' stiffness with w (N,3) m, which is zero from node `active` on, added to f (N,3) N; the rest as in
-    `spring_load`."""
+    """The product of the springs' stiffness with w (N,3) m, which is zero from node `active` on, added to f (N,3) N. strength (n,) N/m:
+    of the spring between each point and its foot, in any direction."""
     for i in range(len(nodes)):
         if min(nodes[i], triangles[i, 0], triangles[i, 1], triangles[i, 2]) >= active:
             continue

@@ -43,26 +43,13 @@ def corners(facets: Ints, ids: Ints, n: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
-def points_within(points: Floats, low: Floats, high: Floats) -> Ints:
-    """Which of points (n,3) lie in the box [low, high], ascending."""
-    inside = np.empty(len(points), np.int64)
+def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np.int64]:
+    """Those of the points `ids` of x (n,3) that lie in the box [low, high]."""
+    inside = np.empty(len(ids), np.int64)
     count = 0
-    for i in range(len(points)):
-        p = points[i]
-        if low[0] <= p[0] <= high[0] and low[1] <= p[1] <= high[1] and low[2] <= p[2] <= high[2]:
-            inside[count] = i
-            count += 1
-    return inside[:count]
-
-
-@njit(cache=True, nogil=True)
-def nodes_within(x: Floats, nodes: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
-    """Those of the nodes that lie inside the box [least, most]."""
-    inside = np.empty(len(nodes), np.int64)
-    count = 0
-    for i in nodes:
+    for i in ids:
         p = x[i]
-        if (p > least).all() and (p < most).all():
+        if low[0] <= p[0] <= high[0] and low[1] <= p[1] <= high[1] and low[2] <= p[2] <= high[2]:
             inside[count] = i
             count += 1
     return inside[:count]
@@ -111,7 +98,7 @@ def _pairs(
     """`pairs_within`, of which no more than `room` are stored, and how many there are."""
     n, most = len(points), reach.max()
     least, greatest = bounds(low, high)
-    near = points_within(points, least - most, greatest + most)
+    near = points_within(points, np.arange(n), least - most, greatest + most)
     if len(near) == 0:
         return np.zeros(n + 1, np.int64), np.empty(0, np.int64), 0
     origin, end = bounds(points[near], points[near])
@@ -166,12 +153,12 @@ def _pairs(
     stored = min(pairs, room)
     for i in range(n):
         degree[i + 1] += degree[i]
-    place = degree[:-1].copy()
+    free = degree[:-1].copy()
     boxes = np.empty(stored, np.int64)
     for q in range(stored):
         i = pair_point[q]
-        boxes[place[i]] = pair_box[q]
-        place[i] += 1
+        boxes[free[i]] = pair_box[q]
+        free[i] += 1
     return degree, boxes, pairs
 
 

@@ -1,4 +1,4 @@
-"""The faces that points are closest to: places on triangles, and which of several bodies a point meets (numba)."""
+"""Closest-point projection of points on triangles, and which of several bodies counts (numba)."""
 
 from math import inf, sqrt
 
@@ -8,7 +8,7 @@ from ..compiling import njit
 from ..core.arrays import Bools, Faces, Floats, Ints
 from ..geometry.vector_kernels import area_vector, from_foot
 from .broad import box_of
-from .model import ANY, Candidates, Meeting, Points
+from .model import ANY, Candidates, Points, Projections
 
 
 @njit(cache=True, nogil=True)
@@ -70,16 +70,16 @@ def _closest_of(
     """The triangle of a body (ANY: of all but one, `but`) that p is closest to, -1 for none; the square of the distance, m2; which side
     p is on, negative inside; the weights of the closest point.
 
-    among: candidates; first: the one to look at first, -1 for none; x (N,3) m: nodes, which have moved by `shift` m at the most since
-    the boxes of faces; reach: square of the distance up to which boxes are looked at, m2.
+    among: candidates; first: the one to try first, -1 for none; x (N,3) m: nodes, which have moved by `shift` m at the most since the
+    boxes of faces; reach: square of the distance beyond which boxes are left out, m2.
     """
     best = 1e300
     facing = side = -1.0
     face = -1
     wa = wb = wc = 0.0
-    for look in range(-1, len(among)):
-        r = first if look < 0 else among[look]
-        if r < 0 or (look >= 0 and r == first):
+    for q in range(-1, len(among)):
+        r = first if q < 0 else among[q]
+        if r < 0 or (q >= 0 and r == first):
             continue
         candidate = faces[r]
         if (body != ANY and candidate.body != body) or (but != ANY and candidate.body == but):
@@ -97,7 +97,7 @@ def _closest_of(
         n0, n1, n2 = area_vector(A, B, C)
         dn = d0 * n0 + d1 * n1 + d2 * n2
         align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
-        # on a shared edge or corner the face that looks most towards the point decides inside or outside
+        # on a shared edge or corner the face whose normal is nearest to the line to the point decides inside or outside
         if dd < best * (1.0 - 1e-9) or align > facing:
             best, facing, side, face = dd, align, dn, r
             reach = min(reach, (sqrt(best) + shift) ** 2 * (1.0 + 4e-9))
@@ -136,17 +136,17 @@ def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _narrow(i: int, p: Floats, c: Candidates, faces: Faces, m: Meeting, distance: float) -> int:
-    """Put those candidates of point i, at p, first whose boxes come within a distance (m), and those that it meets; how many they are.
+def _narrow(i: int, p: Floats, c: Candidates, faces: Faces, proj: Projections, distance: float) -> int:
+    """Put those candidates of point i, at p, first whose boxes come within a distance (m), and its closest faces; how many they are.
 
-    As long as point and faces have moved by less, nothing else has to be looked at.
+    As long as point and faces have moved by less, no other candidate can be closest.
     """
     among = c.face[c.start[i] : c.start[i + 1]]
     others = np.empty(len(among), np.int64)
     count = apart = 0
     for q in range(len(among)):
         r = among[q]
-        near = r == m.face[i, 0] or r == m.face[i, 1]
+        near = r == proj.face[i, 0] or r == proj.face[i, 1]
         if near or _box_distance2(p, faces[r].low, faces[r].high) <= distance * distance * (1.0 + 4e-9):
             among[count] = r
             count += 1
@@ -159,29 +159,29 @@ def _narrow(i: int, p: Floats, c: Candidates, faces: Faces, m: Meeting, distance
 
 @njit(cache=True, nogil=True)
 def closest_faces(
-    i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, more: float, m: Meeting
+    i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, more: float, proj: Projections
 ) -> None:  # fmt: skip
-    """Find which of its candidates point i meets, where, and how far away it is: the closest one; where it lies in several bodies, or
-    outside one and inside another, the closest ones of the two in which it lies deepest.
+    """Project point i on its candidates: on the closest one; where it lies in several bodies, or outside one and inside another, on the
+    closest ones of the two in which it lies deepest.
 
     A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
 
-    x (N,3) m: nodes, which have moved by `shift` m at the most since the boxes of faces. limit m: other bodies than that of the closest
-    face are not met deeper than that. more m: so much farther than what is met faces become inner candidates, where the point has
-    moved away from those that it had.
+    x (N,3) m: nodes, which have moved by `shift` m at the most since the boxes of faces. limit m: the deepest
+    penetration in another body than that of the closest face. more m: so much farther than the projection faces become inner
+    candidates, where the point has moved away from those that it had.
     """
     p, partner = points.x[i], points.partner[i]
     u, v, w = p[0] - c.at[i, 0], p[1] - c.at[i, 1], p[2] - c.at[i, 2]
     left = c.within[i] - shift - sqrt(u * u + v * v + w * w)  # m: all faces nearer than that are inner candidates
     among = c.face[c.start[i] : c.inner[i] if limit <= left else c.start[i + 1]]
-    face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, m.face[i, 0], among, faces, x, inf, shift)
+    face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, proj.face[i, 0], among, faces, x, inf, shift)
     anew = limit > left or sqrt(best) > left
     if anew and limit <= left:
         among = c.face[c.start[i] : c.start[i + 1]]
         face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, face, among, faces, x, inf, shift)
     gap = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
-    m.face[i, 1], m.gap[i, 1] = -1, 0.0
-    m.foot[i, 1, :] = 0.0
+    proj.face[i, 1], proj.gap[i, 1] = -1, 0.0
+    proj.foot[i, 1, :] = 0.0
     if face >= 0 and best <= limit * limit:
         closest = faces[face].body
         reach = (limit + shift) ** 2 * (1.0 + 4e-9)
@@ -192,27 +192,27 @@ def closest_faces(
                 deeper = other >= 0 and side < 0.0 and best <= limit * limit
                 if deeper and -sqrt(best) < gap:
                     if gap < 0.0:
-                        m.face[i, 1], m.gap[i, 1] = face, gap
-                        m.foot[i, 1, 0], m.foot[i, 1, 1], m.foot[i, 1, 2] = wa, wb, wc
+                        proj.face[i, 1], proj.gap[i, 1] = face, gap
+                        proj.foot[i, 1, 0], proj.foot[i, 1, 1], proj.foot[i, 1, 2] = wa, wb, wc
                     face, gap, wa, wb, wc = other, -sqrt(best), u, v, w
-                elif deeper and -sqrt(best) < m.gap[i, 1]:
-                    m.face[i, 1], m.gap[i, 1] = other, -sqrt(best)
-                    m.foot[i, 1, 0], m.foot[i, 1, 1], m.foot[i, 1, 2] = u, v, w
+                elif deeper and -sqrt(best) < proj.gap[i, 1]:
+                    proj.face[i, 1], proj.gap[i, 1] = other, -sqrt(best)
+                    proj.foot[i, 1, 0], proj.foot[i, 1, 1], proj.foot[i, 1, 2] = u, v, w
             body = _next_body(body, p, among, faces, reach)
-    m.face[i, 0], m.gap[i, 0] = face, gap
-    m.foot[i, 0, 0], m.foot[i, 0, 1], m.foot[i, 0, 2] = wa, wb, wc
+    proj.face[i, 0], proj.gap[i, 0] = face, gap
+    proj.foot[i, 0, 0], proj.foot[i, 0, 1], proj.foot[i, 0, 2] = wa, wb, wc
     if anew:
         distance = max(abs(gap), limit) + more
-        c.inner[i] = c.start[i] + _narrow(i, p, c, faces, m, distance + shift)
+        c.inner[i] = c.start[i] + _narrow(i, p, c, faces, proj, distance + shift)
         c.within[i] = distance + shift
         c.at[i, 0], c.at[i, 1], c.at[i, 2] = p[0], p[1], p[2]
 
 
 @njit(cache=True, nogil=True)
 def reachable(
-    rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, m: Meeting
+    rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, proj: Projections
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """Those candidates (start, face) of the points `rows` that they can meet while point and faces come travel (n,) m closer or
+    """Those candidates (start, face) of the points `rows` that they can touch while point and faces come travel (n,) m closer or
     farther: no more than twice that farther away than the closest now or, where there are several bodies, than limit (n,) m.
 
     A point without a closest face keeps all of its candidates, others than `rows` keep none.
@@ -222,10 +222,10 @@ def reachable(
     for i in rows:
         first[last + 1 : i + 1] = count
         last = i
-        far = max(abs(m.gap[i, 0]), limit[i]) if several_bodies(i, c, faces) else abs(m.gap[i, 0])
-        reach = inf if m.face[i, 0] < 0 else (far + 2.0 * travel[i]) ** 2 * (1.0 + 4e-9)
+        far = max(abs(proj.gap[i, 0]), limit[i]) if several_bodies(i, c, faces) else abs(proj.gap[i, 0])
+        reach = inf if proj.face[i, 0] < 0 else (far + 2.0 * travel[i]) ** 2 * (1.0 + 4e-9)
         for r in c.face[c.start[i] : c.start[i + 1]]:
-            if r == m.face[i, 0] or _box_distance2(points.x[i], faces[r].low, faces[r].high) <= reach:
+            if r == proj.face[i, 0] or _box_distance2(points.x[i], faces[r].low, faces[r].high) <= reach:
                 kept[count] = r
                 count += 1
     first[last + 1 :] = count

@@ -1,4 +1,4 @@
-"""Contact of points on surfaces with the faces of others: search now and then, forces each step."""
+"""Contact of points on surfaces with the faces of others: a search before some steps, forces in each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,16 +14,16 @@ from ..core.threads import together
 from ..errors import CheckpointError, SolverError
 from . import broad, closest
 from . import kernels as k
-from .model import ANY, FACE, HISTORY, Candidates, Meeting, Nodes, Points, motion, new_history
+from .model import ANY, FACE, HISTORY, Candidates, Nodes, Points, Projections, motion, new_history
 
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
 @dataclass(frozen=True)
 class ContactState:
-    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet given away; friction_heat: all so far, J;
-    dropped: points that have lost their contact as too deep so far, dropped_energy: energy of their springs, and of springs of
-    points whose depth has jumped, J."""
+    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet passed to the bodies; friction_heat: all so
+    far, J; dropped: points that have lost their contact as too deep so far, dropped_energy: energy of their springs, and of springs
+    of points whose depth has jumped, J."""
 
     friction_heat: float
     dropped: int
@@ -38,14 +38,14 @@ class _Search:
     """Data of the last search of one body's points.
 
     reach m: distance that points and faces may move relative to each other while it is valid; known (k,): mask of near faces among
-    `facing` of the body; nodes: of these faces; places, points: positions of these nodes and of the body's points, m.
+    `facing` of the body; nodes: of these faces; node_x, point_x: positions of these nodes and of the body's points, m.
     """
 
     known: np.ndarray
     reach: float = -np.inf
     nodes: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    places: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    node_x: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    point_x: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 class Contact:
@@ -59,8 +59,8 @@ class Contact:
         of its facets here; stiffness N/m and spacing m of the points of each body; share: of the friction heat, for the side of the
         points; jump: spacings that a point may move inwards in one step: a point found deeper did not enter through this surface and
         has no contact until it is outside again; node (n,): of the domain, that each point is (default: of none); facing: the facets
-        that each body's points may ever meet (default: all); skin: spacings that a search looks farther than it must, so that it holds
-        while surfaces move by that."""
+        that each body's points may ever touch (default: all); skin: spacings added to the search distance, so that the search stays
+        valid while surfaces move by that."""
         n, bodies = len(owner), len(spacing)
         self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
@@ -76,16 +76,16 @@ class Contact:
         self.heat_point, self.heat_face = np.zeros(n), np.zeros(len(facets))
         self.friction_heat = self.dropped_energy = 0.0
         self.dropped = 0
-        #: The points that may touch before the next search, ascending: only these are looked at and get forces.
+        #: The points that may touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
         self._candidates = Candidates(
             np.zeros(n + 1, np.int64), np.zeros(0, np.int64), np.zeros(n, np.int64), np.full(n, -np.inf), np.zeros((n, 3))
         )  # fmt: skip
-        self._meeting = Meeting(
+        self._projections = Projections(
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
         self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
-        self._active = np.full(bodies, np.inf)  # so many nodes may move until the search of each body no longer holds
+        self._active = np.full(bodies, np.inf)  # the search of each body is valid while only so many nodes move
         self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
 
     @property
@@ -96,7 +96,7 @@ class Contact:
     @property
     def gap(self) -> Floats:
         """Signed distance (n,) m of the points `rows` from the faces."""
-        return self._meeting.gap[:, 0]
+        return self._projections.gap[:, 0]
 
     @property
     def penalty_energy(self) -> float:
@@ -145,11 +145,10 @@ class Contact:
     ) -> bool:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m relative to each other.
 
-        xp (n,3) points, x (N,3) nodes, m; always: points that `rows` has in any case; active: number of nodes that move, the first ones
-        (default: all).
-        A point keeps its forces and is not among `rows` where neither it nor a face near it moves. v (N,3) m/s: then slow surfaces
-        move by their share of `travel` only. Returns whether anything was searched: the candidates of a body's points stay valid until
-        surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
+        xp (n,3) points, x (N,3) nodes, m; always: points that `rows` has in any case; active: number of nodes that move, the first
+        ones (default: all). A point keeps its forces and is not among `rows` where neither it nor a face near it moves. v (N,3) m/s:
+        then slow surfaces move by their share of `travel` only. Returns whether anything was searched: the candidates of a body's
+        points stay valid until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
@@ -157,17 +156,17 @@ class Contact:
                 "positions of points or nodes are not finite numbers: try a smaller time step, more points or smaller elements"
             )
         closest.box_faces(x, self.faces)
-        k.travel_on(0, len(self.spacing), self._motion, x, len(x))
+        k.add_travel(0, len(self.spacing), self._motion, x, len(x))
         gone = self._motion.travel[self.points.owner]  # from here on faces move from zero
-        self._meeting.room[:] -= gone
+        self._projections.clearance[:] -= gone
         self._candidates.within[:] -= gone
         self._motion.travel[:] = 0.0
         speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
         fastest = float(speed.max(initial=0.0))
         share = speed / fastest if fastest > 0.0 else np.full(len(x), 0.5)
-        due = [body for body in range(len(self.spacing)) if not self._holds(body, x, travel, share, active)]
+        due = [body for body in range(len(self.spacing)) if not self._is_valid(body, x, travel, share, active)]
         if due:
-            self._find(np.isin(self.points.owner, due), self._begin(due, x, travel, share), always, active, x)
+            self._find(np.isin(self.points.owner, due), self._start(due, x, travel, share), always, active, x)
             owner, bodies = self.points.owner, len(self.spacing)
             nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
             self._motion = motion(*nodes, x)
@@ -180,13 +179,13 @@ class Contact:
         together = share[own].max(initial=0.0) + share[self._searches[body].nodes].max(initial=0.0)
         return travel * min(1.0, float(together))
 
-    def _holds(self, body: int, x: Floats, travel: float, share: Floats, active: int) -> bool:
-        """Whether the last search of a body still holds, and no other face can come near while all move by `travel` m."""
+    def _is_valid(self, body: int, x: Floats, travel: float, share: Floats, active: int) -> bool:
+        """Whether the last search of a body is still valid, and no other face can come near while all move by `travel` m."""
         s, own = self._searches[body], self._own_travel(body, travel, share)
         if active > self._active[body] or s.reach <= own:
             return False
         here = np.arange(self.bounds[body], self.bounds[body + 1])
-        moved = broad.farthest(self.points.x, here, s.points) + broad.farthest(x, s.nodes, s.places)
+        moved = broad.farthest(self.points.x, here, s.point_x) + broad.farthest(x, s.nodes, s.node_x)
         if moved + own > s.reach:
             return False
         others = self.facing[body][~s.known]
@@ -198,8 +197,8 @@ class Contact:
         least, most = broad.bounds(own, own)
         return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
 
-    def _begin(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
-        """Begin the searches of the bodies `due`. Returns how far each point (n,) and its faces may move until the next, m."""
+    def _start(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
+        """Start the searches of the bodies `due`. Returns how far each point (n,) and its faces may move until the next, m."""
         far = np.zeros(len(self.history))
         for body in due:
             s, spacing = self._searches[body], float(self.spacing[body])
@@ -209,37 +208,37 @@ class Contact:
             own = slice(self.bounds[body], self.bounds[body + 1])
             far[own] = self._own_travel(body, travel, share) + self._skin * spacing
             s.reach, self._active[body] = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
-            s.points, s.places = self.points.x[own].copy(), x[s.nodes]
+            s.point_x, s.node_x = self.points.x[own].copy(), x[s.nodes]
         return far
 
     def _find(self, due: np.ndarray, travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats) -> None:
-        """Search for the points of a mask (n,) what they can meet before they and faces have moved travel (n,) m against each other."""
-        p, m, history, faces = self.points, self._meeting, self.history, self.faces
+        """Candidates of the points of a mask (n,), valid until they and faces have moved travel (n,) m against each other."""
+        p, proj, history, faces = self.points, self._projections, self.history, self.faces
         q: Ints = np.flatnonzero(due)
         p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # half a spacing deep is as deep as a point may be lost
         start, face = self._pairs(q)
-        # points that remember a contact are visited too, so that what they remember is settled
+        # points with a friction spring are projected too, so that its energy is accounted for
         sheared = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
         sheared[np.asarray(always, np.int64)] = True
         rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | sheared))
         away = due.copy()
-        m.face[q] = -1
-        self._candidates.within[q] = -np.inf  # all candidates are looked at
-        self._take(due, start, face)
-        # what faces a point at rest may not be here: the contact of a cut ends at its rim
+        proj.face[q] = -1
+        self._candidates.within[q] = -np.inf  # all candidates are tried
+        self._set_candidates(due, start, face)
+        # faces near a point at rest may be missing here: the contact of a cut ends at its rim
         rows, still = self._moving(rows, active)
         away[still] = False
         known = np.zeros(len(due), bool)
         known[self.rows] = True
-        m.room[due & ~known] = -np.inf  # of others than `rows` it is not known how near they were
-        self._look(rows, Nodes(x, x, x, active))
+        proj.clearance[due & ~known] = -np.inf  # the gaps of others than `rows` are not known
+        self._project(rows, Nodes(x, x, x, active))
         # a tenth of a spacing for what the surfaces gain in speed
-        close = (m.face[rows, 0] >= 0) & (m.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
+        close = (proj.face[rows, 0] >= 0) & (proj.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
         kept = rows[close | sheared[rows]]
         away[kept] = False
         for _ in range(2):  # at rest: of the candidates that are left
             limit = k.deepest(history, p, self.jump)
-            self._take(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, m))
+            self._set_candidates(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, proj))
             kept, still = self._moving(kept, active)
             if len(still) == 0:
                 break
@@ -260,26 +259,27 @@ class Contact:
         start[q + 1] = np.diff(few)
         return np.cumsum(start), ids[boxes]
 
-    def _take(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
-        """Put new candidates of the points of a mask (n,) in the place of those that they had."""
+    def _set_candidates(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
+        """Replace the candidates of the points of a mask (n,)."""
         c = self._candidates
         start, face = closest.merged(fresh, c.start, c.face, start, face)
         c.inner[~fresh] += (start - c.start)[:-1][~fresh]
         self._candidates = c._replace(start=start, face=face)
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
-        """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search holds until more
+        """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search is valid until more
         nodes than the least of theirs move."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
         np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
         return rows[~still], rows[still]
 
-    def _look(self, rows: Ints, nodes: Nodes) -> None:
-        """Find what each of the points `rows` meets, and take the contact from those that lie too deep."""
+    def _project(self, rows: Ints, nodes: Nodes) -> None:
+        """Project each of the points `rows` on the faces, and end the contact of those that lie too deep."""
         lost = np.zeros((PARTS, 2))
         together(
-            k.look, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion, self._meeting, self.history, lost
+            k.project, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion,
+            self._projections, self.history, lost,
         )  # fmt: skip
         self.dropped += int(lost[:, 0].sum())
         self.dropped_energy += float(lost[:, 1].sum())
@@ -289,17 +289,11 @@ class Contact:
     def forces(self, dt: float, nodes: Nodes) -> None:
         """Add the contact forces of this instant to points.f and nodes.f, N, from the positions and velocities in both; friction moves
         on by dt s. Of the points, only `rows` are read and written."""
-        self._look(self.rows, nodes)
+        self._project(self.rows, nodes)
         self.friction_heat += k.contact_forces(
-            self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._meeting, self.history, self.heat_point,
+            self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._projections, self.history, self.heat_point,
             self.heat_face,
         )  # fmt: skip
-
-    def forces_between(self, dt: float, nodes: Nodes) -> None:
-        """`forces`, where the points are nodes."""
-        k.gather(self.rows, self.points, nodes)
-        self.forces(dt, nodes)
-        k.scatter(self.rows, self.points, nodes)
 
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
         """Indices (k,) of those of the `first` points that touch in this step, and the facet under each (k,).
@@ -308,18 +302,18 @@ class Contact:
         """
         rows = self.rows[self.rows < first]
         rows = rows[self.gap[rows] < within] if within > 0.0 else rows[self.depth[rows] > 0.0]
-        rows = rows[self._meeting.face[rows, 0] >= 0]
-        return rows, self._meeting.face[rows, 0]
+        rows = rows[self._projections.face[rows, 0] >= 0]
+        return rows, self._projections.face[rows, 0]
 
     def springs(self) -> list[SpringTable]:
         """Tables of the contact springs that can act before the next search: each joins a point's node to the nodes of the closest
         face, and, where the point lies in a second body, to the nodes of the closest face of that body."""
-        tables, m = [], self._meeting
+        tables, proj = [], self._projections
         for body in (0, 1):
-            rows = self.rows[m.face[self.rows, body] >= 0]
-            corners = self.faces["nodes"][m.face[rows, body]]
+            rows = self.rows[proj.face[self.rows, body] >= 0]
+            corners = self.faces["nodes"][proj.face[rows, body]]
             tables.append(
-                SpringTable.of(self.points.node[rows], corners, m.foot[rows, body], self.points.stiffness[rows])
+                SpringTable.of(self.points.node[rows], corners, proj.foot[rows, body], self.points.stiffness[rows])
             )
         return tables
 

@@ -1,4 +1,4 @@
-"""Contact of points against triangles: what each point meets in a step, and the forces (numba)."""
+"""Contact of points against triangles: projection of the points in each step, and the forces (numba)."""
 
 from math import inf, sqrt
 
@@ -10,7 +10,7 @@ from ..core.loops import ranges
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from .closest import closest_faces
 from .law import TANGENTIAL, friction_force, normal_force, stored
-from .model import ALL, ANY, UNKNOWN, Candidates, Meeting, Motion, Nodes, Points
+from .model import ALL, ANY, UNKNOWN, Candidates, Motion, Nodes, Points, Projections
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
 
@@ -32,8 +32,8 @@ def _solve3(
 
 
 @njit(cache=True, nogil=True)
-def travel_on(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
-    """Add the farthest that a node of the candidates of each of the bodies [lo, hi) has moved since the last look to its travel; only
+def add_travel(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
+    """Add the farthest that a node of the candidates of each of the bodies [lo, hi) has moved since the last call to its travel; only
     the first `active` nodes move."""
     for body in range(lo, hi):
         most = 0.0
@@ -48,12 +48,12 @@ def travel_on(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
 
 @njit(cache=True, nogil=True, inline="always")
 def _squared(h: History) -> float:
-    """Square of the friction (N2) that the spring of a history holds."""
+    """Square of the friction (N2) of a history's spring."""
     return h.spring[0] ** 2 + h.spring[1] ** 2 + h.spring[2] ** 2
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _kept(h: History) -> float:
+def _ignored(h: History) -> float:
     """The depth (m) that the first spring of a history ignores."""
     return max(h.ignored[0], 0.0) if h.ignored[0] < ALL else 0.0
 
@@ -61,12 +61,12 @@ def _kept(h: History) -> float:
 @njit(cache=True, nogil=True, inline="always")
 def _deepest(h: History, margin: float, jump: float) -> float:
     """How deep a point may lie and keep its contact, m."""
-    return min(margin, h.depth[0] + _kept(h) + jump)
+    return min(margin, h.depth[0] + _ignored(h) + jump)
 
 
 @njit(cache=True, nogil=True)
 def deepest(history: Histories, points: Points, jump: float) -> Floats:
-    """How deep each point (n,) may lie and keep its contact, m; see `_remember`."""
+    """How deep each point (n,) may lie and keep its contact, m; see `_update_history`."""
     limit = np.empty(len(history))
     for i in range(len(history)):
         limit[i] = _deepest(history[i], points.margin[i], jump * points.spacing[i])
@@ -74,45 +74,45 @@ def deepest(history: Histories, points: Points, jump: float) -> Floats:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def follow(deep: float, before: float, moved: float, ignored: float) -> float:
+def ignored_depth(deep: float, before: float, moved: float, ignored: float) -> float:
     """The part of a point's penetration depth that gives no contact force, m.
 
     Where surfaces end on one another the closest face can be one of which the point lies on the other side: its depth jumps. A spring
     that had that depth at once would give energy that nobody has put in: what motion does not account for is ignored until the point
-    has moved out again. deep, before: depth now and when it was looked at last (negative outside); moved: how far point and faces
-    have moved since. ignored: before, ALL where the point had lost its contact.
+    has moved out again. deep, before: depth now and at the last projection (negative outside); moved: how far point and faces have
+    moved since. ignored: before, ALL where the point had lost its contact.
     """
     ignored = max(min(ignored, deep), 0.0)
     return max(ignored, deep - max(before - ignored + moved, 0.0))
 
 
 @njit(cache=True, nogil=True)
-def _remember(
-    i: int, k: float, limit: float, moved: float, before: float, m: Meeting, faces: Faces, h: History, lost: Floats
+def _update_history(
+    i: int, k: float, limit: float, moved: float, before: float, proj: Projections, faces: Faces, h: History, lost: Floats
 ) -> None:  # fmt: skip
-    """Bring the history h of point i up to what it meets; before: its gap when it was looked at last, m, moved: see `follow`.
+    """Update the history h of point i to its projection; before: its gap at the last projection, m; moved: see `ignored_depth`.
 
     A point that lies deeper than limit (m), which is the margin of the search or a jump deeper than before, lies outside: nearer faces
     are only known to be among the candidates within the margin. It loses its contact: lost, [points that had one, energy of springs
-    (J)], is added to. k N/m. What a point remembers of the second body goes with it when it becomes the first.
+    (J)], is added to. k N/m. The history in the second body goes with it when it becomes the first.
     """
-    if m.face[i, 0] < 0 or m.gap[i, 0] < -limit:
-        m.face[i, 0] = m.face[i, 1] = ANY
-        held = stored(k, h.depth[0], _squared(h))
-        if held > 0.0:
+    if proj.face[i, 0] < 0 or proj.gap[i, 0] < -limit:
+        proj.face[i, 0] = proj.face[i, 1] = ANY
+        energy = stored(k, h.depth[0], _squared(h))
+        if energy > 0.0:
             lost[0] += 1.0
-            lost[1] += held + stored(k, h.depth[1], 0.0)
+            lost[1] += energy + stored(k, h.depth[1], 0.0)
         h.spring[0] = h.spring[1] = h.spring[2] = h.depth[0] = h.depth[1] = 0.0
         h.ignored[0], h.ignored[1] = ALL, 0.0
         h.body[0] = h.body[1] = ANY
         return
-    first, other = faces[m.face[i, 0]].body, ANY
-    if m.face[i, 1] >= 0:
-        other = faces[m.face[i, 1]].body
+    first, other = faces[proj.face[i, 0]].body, ANY
+    if proj.face[i, 1] >= 0:
+        other = faces[proj.face[i, 1]].body
     # the two bodies change their order: else what is ignored changes its body, and the force jumps from step to step
     if h.body[0] != ANY and first == h.body[1]:
         before, was = -h.depth[1] - h.ignored[1], max(-before, 0.0)
-        h.ignored[0], h.ignored[1] = h.ignored[1], _kept(h)
+        h.ignored[0], h.ignored[1] = h.ignored[1], _ignored(h)
         h.depth[0], h.depth[1] = h.depth[1], h.depth[0]
     else:
         was = h.depth[1] + h.ignored[1]
@@ -120,47 +120,47 @@ def _remember(
     if h.ignored[0] == UNKNOWN:
         h.ignored[0] = 0.0
     else:
-        h.ignored[0] = follow(-m.gap[i, 0], -before, moved, h.ignored[0])
-        if m.gap[i, 0] > before + moved:  # out of contact by a jump: what its spring held is lost
-            left = stored(k, max(-m.gap[i, 0] - h.ignored[0], 0.0), 0.0)
+        h.ignored[0] = ignored_depth(-proj.gap[i, 0], -before, moved, h.ignored[0])
+        if proj.gap[i, 0] > before + moved:  # out of contact by a jump: the energy of its spring is lost
+            left = stored(k, max(-proj.gap[i, 0] - h.ignored[0], 0.0), 0.0)
             lost[1] += max(stored(k, h.depth[0], 0.0) - left, 0.0)
-    deep = -m.gap[i, 1]
+    deep = -proj.gap[i, 1]
     if deep > 0.0 or was > 0.0:
-        h.ignored[1] = follow(deep, was, moved, h.ignored[1])
+        h.ignored[1] = ignored_depth(deep, was, moved, h.ignored[1])
         if deep < was - moved:
             left = stored(k, max(deep - h.ignored[1], 0.0), 0.0)
             lost[1] += max(stored(k, h.depth[1], 0.0) - left, 0.0)
 
 
 @njit(cache=True, nogil=True)
-def look(
-    team: Ints, rows: Ints, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion, m: Meeting,
+def project(
+    team: Ints, rows: Ints, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion, proj: Projections,
     history: Histories, lost: Floats,
 ) -> None:  # fmt: skip
-    """Find what each of the points `rows` meets; one that cannot have come within reach of its faces since it was looked at keeps that.
+    """Project each of the points `rows`; one that cannot have come within reach of its faces since then keeps its projection.
 
     Point and faces come closer by no more than both move. jump, in spacings: that a point may move inwards in one step. lost (PARTS,2):
-    see `_remember`.
+    see `_update_history`.
     """
     for lo, hi, _ in ranges(team, 0, len(motion.travel), 4):
-        travel_on(lo, hi, motion, nodes.x, nodes.active)
+        add_travel(lo, hi, motion, nodes.x, nodes.active)
     for lo, hi, part in ranges(team, 1, len(rows), LEAST_ROWS):
         for i in rows[lo:hi]:
             travel, margin, more = motion.travel[points.owner[i]], points.margin[i], jump * points.spacing[i]
-            u, v, w = points.x[i, 0] - m.seen[i, 0], points.x[i, 1] - m.seen[i, 1], points.x[i, 2] - m.seen[i, 2]
-            way, left = sqrt(u * u + v * v + w * w), m.room[i] - travel
-            if m.face[i, 0] >= 0 and way <= left:
+            u, v, w = points.x[i, 0] - proj.at[i, 0], points.x[i, 1] - proj.at[i, 1], points.x[i, 2] - proj.at[i, 2]
+            own, left = sqrt(u * u + v * v + w * w), proj.clearance[i] - travel
+            if proj.face[i, 0] >= 0 and own <= left:
                 continue
-            h, before, moved = history[i], m.gap[i, 0], 1e-9 * margin
-            if m.room[i] == -inf:  # at a search, of a point that was not in question; nothing has moved in it
-                before = -h.depth[0] - _kept(h)
+            h, before, moved = history[i], proj.gap[i, 0], 1e-9 * margin
+            if proj.clearance[i] == -inf:  # at a search, of a point that was not among `rows`: nothing has moved since
+                before = -h.depth[0] - _ignored(h)
             else:
-                moved += way + travel - (m.room[i] - before)
+                moved += own + travel - (proj.clearance[i] - before)
             limit = _deepest(h, margin, more)
-            closest_faces(i, points, c, faces, nodes.x, travel, limit, more, m)
-            _remember(i, points.stiffness[i], limit, moved, before, m, faces, h, lost[part])
-            m.seen[i, 0], m.seen[i, 1], m.seen[i, 2] = points.x[i, 0], points.x[i, 1], points.x[i, 2]
-            m.room[i] = m.gap[i, 0] + travel
+            closest_faces(i, points, c, faces, nodes.x, travel, limit, more, proj)
+            _update_history(i, points.stiffness[i], limit, moved, before, proj, faces, h, lost[part])
+            proj.at[i, 0], proj.at[i, 1], proj.at[i, 2] = points.x[i, 0], points.x[i, 1], points.x[i, 2]
+            proj.clearance[i] = proj.gap[i, 0] + travel
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -177,7 +177,7 @@ def _normal(p: Floats, A: Floats, B: Floats, C: Floats, foot: Floats, gap: float
 
 @njit(cache=True, nogil=True, inline="always")
 def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: float, f1: float, f2: float) -> None:
-    """A force on point i, and the opposite one on the place with the weights w on the triangle of nodes t, N."""
+    """A force on point i, and the opposite one on the point with the weights w of the triangle of nodes t, N."""
     add(f_point, i, f0, f1, f2)
     add(f_node, t[0], -w[0] * f0, -w[0] * f1, -w[0] * f2)
     add(f_node, t[1], -w[1] * f0, -w[1] * f1, -w[1] * f2)
@@ -186,7 +186,7 @@ def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: f
 
 @njit(cache=True, nogil=True)
 def _friction(
-    i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, m: Meeting, h: History
+    i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Friction (3,) N on point i of penetration pen (m), and the heat (J) of its slip in a step of dt (s); its spring moves on.
 
@@ -196,7 +196,7 @@ def _friction(
     n0, n1, n2 = normal
     A, B, C = nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]]
     va, vb, vc = nodes.v[t[0]], nodes.v[t[1]], nodes.v[t[2]]
-    k, w, s, v = points.stiffness[i], m.foot[i, 0], h.spring, points.v[i]
+    k, w, s, v = points.stiffness[i], proj.foot[i, 0], h.spring, points.v[i]
     ra0, ra1, ra2 = (2 * A[0] - B[0] - C[0]) / 3, (2 * A[1] - B[1] - C[1]) / 3, (2 * A[2] - B[2] - C[2]) / 3
     rb0, rb1, rb2 = (2 * B[0] - A[0] - C[0]) / 3, (2 * B[1] - A[1] - C[1]) / 3, (2 * B[2] - A[2] - C[2]) / 3
     rc0, rc1, rc2 = -ra0 - rb0, -ra1 - rb1, -ra2 - rb2
@@ -211,7 +211,7 @@ def _friction(
     h2 = ra0 * va[1] - ra1 * va[0] + rb0 * vb[1] - rb1 * vb[0] + rc0 * vc[1] - rc1 * vc[0]
     # best-fit rotation of the triangle
     o0, o1, o2 = _solve3(yy + zz, xx + zz, xx + yy, -yz, -xz, -xy, h0, h1, h2)
-    gap = m.gap[i, 0]
+    gap = proj.gap[i, 0]
     l0, l1, l2 = gap * n0, gap * n1, gap * n2
     u0 = v[0] - (w[0] * va[0] + w[1] * vb[0] + w[2] * vc[0]) - (o1 * l2 - o2 * l1)
     u1 = v[1] - (w[0] * va[1] + w[1] * vb[1] + w[2] * vc[1]) - (o2 * l0 - o0 * l2)
@@ -224,8 +224,8 @@ def _friction(
     size = sqrt(g0 * g0 + g1 * g1 + g2 * g2)
     friction, heat = friction_force(k, mu, pen, size)
     if friction < size:
-        cut = friction / size
-        g0, g1, g2 = g0 * cut, g1 * cut, g2 * cut
+        scale = friction / size
+        g0, g1, g2 = g0 * scale, g1 * scale, g2 * scale
     s[0], s[1], s[2] = g0, g1, g2
     # couple that balances the moment of the friction pair about the foot point: -(l x g)
     m0, m1, m2 = _solve3(
@@ -239,10 +239,10 @@ def _friction(
 
 @njit(cache=True, nogil=True)
 def contact_forces(
-    rows: Ints, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, m: Meeting, history: Histories,
+    rows: Ints, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, proj: Projections, history: Histories,
     heat_point: Floats, heat_face: Floats,
 ) -> float:  # fmt: skip
-    """Add the forces between the points `rows` and the faces that they meet, equal and opposite in force and in moment, to points.f and
+    """Add the forces between the points `rows` and their closest faces, equal and opposite in force and in moment, to points.f and
     nodes.f; the heat of friction, J.
 
     Penetration = minus the signed distance to the closest point of the surface, less what of it is ignored. The normal force acts along
@@ -253,35 +253,34 @@ def contact_forces(
     for i in rows:
         h, k = history[i], points.stiffness[i]
         for body in range(2):
-            held = _squared(h) if body == 0 else 0.0
-            pen = 0.0 if m.face[i, body] < 0 else max(-m.gap[i, body] - h.ignored[body], 0.0)
-            if pen == 0.0 and h.depth[body] == 0.0 and held == 0.0:
+            g2 = _squared(h) if body == 0 else 0.0
+            pen = 0.0 if proj.face[i, body] < 0 else max(-proj.gap[i, body] - h.ignored[body], 0.0)
+            if pen == 0.0 and h.depth[body] == 0.0 and g2 == 0.0:
                 continue  # outside, as before
-            face = m.face[i, body]
+            face = proj.face[i, body]
             t = faces[face].nodes
             if face >= 0 and min(points.node[i], t[0], t[1], t[2]) >= nodes.active:
                 continue
             h.depth[body] = pen
-            if pen == 0.0:  # what the spring still held is heat when the contact opens
+            if pen == 0.0:  # what the spring still stores is heat when the contact opens
                 if body == 0:
                     h.spring[0] = h.spring[1] = h.spring[2] = 0.0
                 if face >= 0:
-                    heat += stored(k, 0.0, held)
-                    heat_point[i] += stored(k, 0.0, share * held)
-                    heat_face[face] += stored(k, 0.0, (1.0 - share) * held)
+                    heat += stored(k, 0.0, g2)
+                    heat_point[i] += stored(k, 0.0, share * g2)
+                    heat_face[face] += stored(k, 0.0, (1.0 - share) * g2)
                 continue
-            n = _normal(
-                points.x[i], nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]], m.foot[i, body], m.gap[i, body], 1e-6 * points.spacing[i]
-            )  # fmt: skip
+            A, B, C, tiny = nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]], 1e-6 * points.spacing[i]
+            n = _normal(points.x[i], A, B, C, proj.foot[i, body], proj.gap[i, body], tiny)
             normal = normal_force(k, pen)
             f0, f1, f2 = normal * n[0], normal * n[1], normal * n[2]
             if mu > 0.0 and body == 0:
-                g0, g1, g2, worn = _friction(i, dt, mu, pen, n, points, nodes, t, m, h)
-                f0, f1, f2 = f0 + g0, f1 + g1, f2 + g2
+                t0, t1, t2, worn = _friction(i, dt, mu, pen, n, points, nodes, t, proj, h)
+                f0, f1, f2 = f0 + t0, f1 + t1, f2 + t2
                 heat += worn
                 heat_point[i] += share * worn
                 heat_face[face] += (1.0 - share) * worn
-            _add_pair(points.f, nodes.f, i, t, m.foot[i, body], f0, f1, f2)
+            _add_pair(points.f, nodes.f, i, t, proj.foot[i, body], f0, f1, f2)
     return heat
 
 

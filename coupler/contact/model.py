@@ -9,10 +9,10 @@ from ..core.arrays import Floats, Histories, Ints
 ANY = -1  # body
 # m, depths that are ignored: of a point that has no contact, and of one that no search has found near a face
 ALL, UNKNOWN = 1e300, -1.0
-#: A triangle that points may meet: the box around it (m), its nodes and its body, together in one line of the processor's cache.
+#: A triangle that points may touch: the box around it (m), its nodes and its body, together in one line of the processor's cache.
 FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
-#: What a point remembers: spring N of friction; of the body in which it lies deepest, and of the second one: depth m of penetration
-#: that gives force, ignored m beside it that gives none (`kernels.follow`), and the number of the body.
+#: History of a point: spring N of friction; of the body in which it lies deepest, and of the second one: depth m of penetration that
+#: gives force, ignored m: more of it, without force (`kernels.ignored_depth`), and the number of the body.
 HISTORY = np.dtype([("spring", "f8", 3), ("depth", "f8", 2), ("ignored", "f8", 2), ("body", "i8", 2)])
 
 
@@ -25,8 +25,8 @@ def new_history(points: int) -> Histories:
 
 class Points(NamedTuple):
     """Positions x m, velocities v m/s, forces f N (n,3); owner (n,): the body of each; node (n,): the node of the domain that each is,
-    -1 of others; partner (n,): the body that each does not meet because a bond holds it there, ANY for none; stiffness (n,) N/m;
-    spacing (n,) m of its surface; margin (n,) m: depth beyond which the last search knows no face."""
+    -1 of others; partner (n,): the body that it is bonded to and has no contact with, ANY for none; stiffness (n,) N/m; spacing (n,) m
+    of its surface; margin (n,) m: depth beyond which the last search knows no face."""
 
     x: Floats
     v: Floats
@@ -49,9 +49,8 @@ class Nodes(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Faces that each point can meet before the next search: face[start[i]:start[i + 1]]. Those up to the place inner (n,) are all
-    whose boxes come within a distance of at (n,3) m, where the point was; within (n,) m: this distance and the travel of the faces
-    until then."""
+    """Faces that each point can touch before the next search: face[start[i]:start[i + 1]]. Those before inner (n,) are all whose boxes
+    come within a distance of at (n,3) m, where the point was; within (n,) m: this distance plus the travel of the faces until then."""
 
     start: Ints
     face: Ints
@@ -60,21 +59,21 @@ class Candidates(NamedTuple):
     at: Floats
 
 
-class Meeting(NamedTuple):
-    """The closest place of the body that each point meets, and of a second one in which it lies: face (n,2), -1 for none, foot (n,2,3):
-    barycentric weights, gap (n,2) m: signed distance, negative inside. seen (n,3) m: where the point was when that was found; room
-    (n,) m: its gap then, and the travel of the faces until then."""
+class Projections(NamedTuple):
+    """Closest-point projection of each point on the body that it is nearest to, and on a second one in which it lies: face (n,2), -1
+    for none; foot (n,2,3): barycentric weights; gap (n,2) m: signed distance, negative inside. at (n,3) m: where the point was then;
+    clearance (n,) m: its gap then plus the travel of the faces until then."""
 
     face: Ints
     foot: Floats
     gap: Floats
-    seen: Floats
-    room: Floats
+    at: Floats
+    clearance: Floats
 
 
 class Motion(NamedTuple):
-    """Of the candidates of each body's points: nodes[bounds[b]:bounds[b + 1]] of these, last (k,3) m: where they were at the last look;
-    travel (bodies,) m: bound on how far one of them has moved since the search."""
+    """Of the candidates of each body's points: nodes[bounds[b]:bounds[b + 1]] of these, last (k,3) m: where they were at the last
+    projection; travel (bodies,) m: bound on how far one of them has moved since the search."""
 
     nodes: Ints
     bounds: Ints

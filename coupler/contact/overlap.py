@@ -1,6 +1,6 @@
 """How far bodies lie in each other, and how a new one is moved out of those that are there."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -45,11 +45,12 @@ def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.nda
 def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
     """Displacements (N,3) m of the surface nodes of `body` that take it out of the others, to first order; 0 elsewhere.
 
-    A node of it inside another body goes to the closest place of that body's surface; where a node of another lies in it, the corners
+    A node of it inside another body goes to the closest point of that body's surface; where a node of another lies in it, the corners
     of the closest facet go in by the least displacements that put the facet on the node. Of several the largest counts.
     """
     found = np.zeros((len(x), 3))
-    others = neighbours(*surfaces.boxes(x), body, 0.0)
+    low, high = surfaces.boxes(x)
+    others = neighbours(low, high, body, 0.0)
 
     def put(nodes: np.ndarray, moves: np.ndarray) -> None:
         for node, move in zip(nodes, moves, strict=True):
@@ -57,25 +58,20 @@ def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarra
                 found[node] = move
 
     for other in others:
-        nodes, out, *_ = _inside(surfaces, x, other, _in_box(surfaces, x, other, [body]))
-        put(nodes, out)
-    _, out, facets, weights = _inside(surfaces, x, body, _in_box(surfaces, x, body, others))
+        near = broad.points_within(x, surfaces.nodes_of(body), low[other], high[other])
+        put(*_inside(surfaces, x, other, near)[:2])
+    near = broad.points_within(x, surfaces.nodes_of(*others), low[body], high[body])
+    _, out, facets, weights = _inside(surfaces, x, body, near)
     share = weights / np.einsum("ij,ij->i", weights, weights)[:, None]
     put(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))
     return found
 
 
-def _in_box(surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int]) -> np.ndarray:
-    """Surface nodes (k,) of the others that lie inside the box round a body."""
-    corners = x[surfaces.facets[surfaces.facets_of(body)]]
-    return broad.nodes_within(x, surfaces.nodes_of(*others), corners.min(axis=(0, 1)), corners.max(axis=(0, 1)))
-
-
 def _inside(
     surfaces: Surfaces, x: np.ndarray, body: int, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Those (k,) of the nodes of others in the box round a body that lie inside it, the found (k,3) m out of it, the facet (k,) there,
-    its weights (k,3)."""
+    """Those (k,) of the nodes of others in the box round a body that lie inside it, the displacement (k,3) m out of it, the facet (k,)
+    there, its weights (k,3)."""
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
     own = surfaces.facets_of(body)

@@ -72,13 +72,9 @@ class Surfaces:
         """Nodes of facets, ascending."""
         return broad.corners(self.facets, ids, self._nodes)
 
-    def vectors(self, x: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """Area vectors (len(ids),3) of facets, m2: outward normal times area. x (N,3) m."""
-        return area_vectors(x, self.facets[ids])
-
     def spacing(self, x: np.ndarray, body: int) -> float:
         """Edge (m) of the equilateral triangles that would give a body's surface its number of facets."""
-        area = float(np.mean(np.linalg.norm(self.vectors(x, self.facets_of(body)), axis=1)))
+        area = float(np.mean(np.linalg.norm(area_vectors(x, self.facets[self.facets_of(body)]), axis=1)))
         return float(np.sqrt(4.0 / np.sqrt(3.0) * area))
 
 
@@ -86,10 +82,9 @@ class Surfaces:
 class Interface:
     """Pairs of surface nodes of one body and the facets of others that they lie on.
 
-    nodes (n,); facet (n,): ids in `Surfaces`; weights (n,3): of the facet's closest point, within it; gap (n,) m: signed
-    distance to it; area (n,) m2: what each node stands for, a third of each of its facets that lie on the others with
-    all three nodes (0 for a node at the end of a line of contact, or alone). own (p,2): pairs of row and facet of its
-    own body, for `behind`.
+    nodes (n,); facet (n,): ids in `Surfaces`; weights (n,3): of the facet's closest point, within it; gap (n,) m: signed distance to
+    it; area (n,) m2: what each node stands for, a third of each of its facets that lie on the others with all three nodes (0 for a
+    node at the end of a line of contact, or alone). own (p,2): pairs of row and facet of its own body, for `behind`.
     """
 
     nodes: np.ndarray
@@ -153,7 +148,8 @@ def interface(
     if not np.isfinite(x).all():
         raise SolverError("positions of the bodies are not finite numbers: try a smaller time step or a finer preset")
     own_ids = surfaces.facets_of(body)
-    vectors, corners = surfaces.vectors(x, own_ids), surfaces.facets[own_ids]
+    corners = surfaces.facets[own_ids]
+    vectors = area_vectors(x, corners)
     rows = np.searchsorted(nodes, corners)
     outward = np.zeros((len(nodes), 3))
     for i in range(3):
@@ -169,15 +165,9 @@ def interface(
 
 
 def _facing(
-    points: np.ndarray,
-    outward: np.ndarray,
-    x: np.ndarray,
-    facets: np.ndarray,
-    ids: np.ndarray,
-    reach: float,
-    cell: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Closest of the facets `ids` that each point (n,3) of a surface with normals outward (n,3) looks at, within `reach` m.
+    points: np.ndarray, outward: np.ndarray, x: np.ndarray, facets: np.ndarray, ids: np.ndarray, reach: float, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Closest of the facets `ids` that faces each point (n,3) of a surface with normals outward (n,3), within `reach` m.
 
     x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
     (n,3) of its closest point; gap (n,) m, negative inside).

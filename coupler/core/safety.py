@@ -16,7 +16,7 @@ ELEMENTS = 0.85
 # The mesh by its highest frequency (`fe.stability`): a mode that becomes the fastest within ten steps is found too late.
 MESH = 0.85
 LONGEST = 3.0
-# Bonds between particle and target (`contact.hold`): the row sums of their stiffness are a bound, masses and ends do not change.
+# Bonds between particle and target (`contact.particle_bonds`): row sums of their stiffness are a bound, masses and ends do not change.
 HOLD = 0.9
 # Springs of the contact: a point bears one to a second body too, where its mass is at least 0.78 of the lightest node's.
 CONTACT = 0.8

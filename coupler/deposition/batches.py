@@ -18,7 +18,7 @@ from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.cut import Cut, cut_out
-from ..target.places import points_of_impact
+from ..target.positions import points_of_impact
 from .task import SPARE, STOP, Task, TaskResult, run_alone
 
 TASKS = "impacts"  # folder of the tasks in that of the run

@@ -25,7 +25,7 @@ from ..plan.planning import Plan
 from ..plan.record import plan_text
 from ..target.bodies import Bodies, BodiesState
 from ..target.cut import put_back
-from ..target.places import splats_at_end
+from ..target.positions import splats_at_end
 from .batches import TASKS, Done, clear, side_by_side, tasks
 from .detaching import without_detached
 from .joining import rest

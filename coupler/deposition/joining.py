@@ -21,7 +21,7 @@ from ..splat.convert import convert
 from ..target.bodies import Bodies
 from ..target.domain import BodyState, Point
 from ..target.equilibrium import RELAXED, settle
-from ..target.places import displacement_back, means_of, near
+from ..target.positions import displacement_back, means_of, near
 from .detaching import held_at_rest, release_time, without_detached
 from .pause import pause
 
@@ -102,7 +102,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
         )
         for b in splat.bodies
     ]  # fmt: skip
-    bonded = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
+    bonded = hold.bonded_points(domains.surface.contacts(particle.x)) if hold is not None else None
     ratio = plan.impacts[i].velocity_ratio
     new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded)
     return new, {
@@ -113,7 +113,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
 
 def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
     """Bring the bodies after impact i to rest within its window."""
-    new.target.window(plan.impacts[i].window)
+    new.target.set_window(plan.impacts[i].window)
     kinetic_0 = float(outcome.record.values["kinetic_energy_0_J"])
     return settle(new, kinetic_0, release_time(plan), back=displacement_back(outcome.domains.target, new.target))
 

@@ -2,7 +2,7 @@
 
 A few elements of splats that others have crushed would dictate the time step of all impacts to come: they change their shape against
 an added inertia (`fe.inertia`), and the lightest nodes of surfaces are a little heavier, for the springs of contact. And what is far
-from the impact is not computed (`Target.window`): it is in equilibrium, and answers as an elastic body.
+from the impact is not computed (`Target.set_window`): it is in equilibrium, and answers as an elastic body.
 """
 
 import math
@@ -28,7 +28,7 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
         if bodies.contact is not None:
             step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
             report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.pairs.mass_for(step), most)
-    within = bodies.target.window(plan.impacts[i].window, np.array(place))
+    within = bodies.target.set_window(plan.impacts[i].window, np.array(place))
     if within < len(bodies.target.mesh.conn):
         report |= {"window_m": plan.impacts[i].window, "elements_in_window": within}
     return report

@@ -85,7 +85,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
     missing *= t.laws["expansion"][t.law_of]
     t.elements.heat[:] += missing
-    t.sums[2] += float(missing.sum())
+    t.balance.heat += float(missing.sum())
     shrunk = 1.0 + _contraction(*came[0], ambient)
     t.nodes.x[:] *= shrunk
     t.rest_scale *= shrunk
@@ -121,7 +121,7 @@ def _take_heat_away(t: Target, ambient: float) -> None:
             return
         c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.elements.T + ambient))
         gain = rho * t.mesh.V0 * c_p * (ambient - t.elements.T)
-        t.sums[2] += take_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
+        t.balance.heat += take_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
 
 
 def _contraction(metal: Material, T: float, ambient: float) -> float:

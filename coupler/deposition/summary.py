@@ -44,7 +44,7 @@ def summary(
     """The summary of a run.
 
     joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
-    (`target.places.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
+    (`target.positions.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
     """
     detached = _detached([*joins, closing or {}])
     fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}

@@ -30,17 +30,6 @@ def dashpots(
     return nodes, matrix[nodes]
 
 
-def together_with(
-    nodes: np.ndarray, matrix: np.ndarray, others: np.ndarray, more: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and matrices (k,3,3) of both, added up where a node is among both."""
-    both = np.union1d(nodes, others)
-    total = np.zeros((len(both), 3, 3))
-    total[np.searchsorted(both, nodes)] += matrix
-    total[np.searchsorted(both, others)] += more
-    return both, total
-
-
 def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The static stiffness of a half-space at the facets HALF_SPACE: nodes (k,) and a matrix (k,3,3) N/m of each. G (m,) Pa.
 
@@ -59,10 +48,16 @@ def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndarray, matrix: np.ndarray) -> None:
-    """Add a third of (normal n n^T + tangential (1 - n n^T)) area of each facet to each of its nodes: matrix (n,3,3)."""
+    """`add_matrices` of facets (k,) and their normals."""
     corners = mesh.facets[ids]
-    area, n = areas_and_normals(mesh.points, corners)
+    add_matrices(corners, *areas_and_normals(mesh.points, corners), normal, tangential, matrix)
+
+
+def add_matrices(
+    faces: np.ndarray, area: np.ndarray, n: np.ndarray, along: np.ndarray, across: np.ndarray, matrix: np.ndarray
+) -> None:
+    """Add a third of (along n n^T + across (1 - n n^T)) area of each of the faces (k,3) to each of its nodes: matrix (N,3,3)."""
     nn = n[:, :, None] * n[:, None, :]
-    share = (area / 3.0)[:, None, None] * (normal[:, None, None] * nn + tangential[:, None, None] * (np.eye(3) - nn))
+    share = (area / 3.0)[:, None, None] * (along[:, None, None] * nn + across[:, None, None] * (np.eye(3) - nn))
     for i in range(3):
-        np.add.at(matrix, corners[:, i], share)
+        np.add.at(matrix, faces[:, i], share)

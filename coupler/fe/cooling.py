@@ -47,7 +47,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Links:
-    """Perfect thermal contact between bodies: nodes (k,), each with a place on a triangle (k,3), weights (k,3), and area (k,) m2."""
+    """Perfect thermal contact between bodies: nodes (k,), each with a point on a triangle (k,3), weights (k,3), and area (k,) m2."""
 
     nodes: np.ndarray
     triangles: np.ndarray
@@ -56,12 +56,12 @@ class Links:
 
 
 def cool(
-    target: Target, time: float, held: np.ndarray, held_T: float, links: Sequence[Links] = (), film: Film | None = None
-) -> dict[str, float]:
+    target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None
+) -> dict[str, float]:  # fmt: skip
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
-    held: nodes kept at held_T K; every other face is insulated but for the film. Returns steps, hottest and mean temperatures before
-    and after (K), and the heat (J) that has left through held nodes and to the gas. Raises SolverError when the linear solver does not
+    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. Returns steps, hottest and mean temperatures before
+    and after (K), and the heat (J) that has left through fixed nodes and to the gas. Raises SolverError when the linear solver does not
     come to an end.
     """
     t = target
@@ -83,7 +83,7 @@ def cool(
     T_gas = film.T if film is not None else 0.0
     matrix = _Conduction.of(t, links, from_gas)
     free = np.ones(n)
-    free[held] = 0.0
+    free[fixed] = 0.0
     between = free[matrix.indices] * np.repeat(free, np.diff(matrix.indptr))
     conducting = repack_fields(t.laws[["k_0", "k_slope", "k_T0", "k_T1"]])[t.law_of]
     dt, left, steps, taken = 0.0, time, 0, 0.0
@@ -98,24 +98,24 @@ def cool(
         dt = left if left < 1.5 * dt else dt
         own[:] = (t.elements.T - T_mean) * -np.expm1(-dt * rate)
         source = capacity * nodal(own)
-        # held nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
-        fixed = np.where(free == 0.0, held_T - T, 0.0)
+        # fixed nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
+        rise = np.where(free == 0.0, fixed_T - T, 0.0)
         A = matrix.filled(GAMMA * dt * K.data * between)
         A.data[matrix.diagonal] += free * capacity + (1.0 - free)
         inverse = 1.0 / A.data[matrix.diagonal]
-        conduct = LinearOperator(A.shape, partial(times, A), dtype=float)
+        product = LinearOperator(A.shape, partial(times, A), dtype=float)
         jacobi = LinearOperator(A.shape, lambda r, inverse=inverse: inverse * r)
-        change = fixed.copy()
+        change = rise.copy()
         stage = np.zeros(n)
         for weight in ((1.0 - GAMMA) / GAMMA, 1.0):
             b = GAMMA * free * (source - dt * (K @ (T + change) - from_gas * T_gas))
-            stage, failed = cg(conduct, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
+            stage, failed = cg(product, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
             if failed:
                 raise SolverError(
                     "the heat conduction in the pause between impacts does not converge: give a shorter dwell or a finer preset"
                 )
             # what the solver has left of the whole heat, spread over all nodes
-            stage += free * (np.sum(b - conduct @ stage) / (free @ (conduct @ free)))
+            stage += free * (np.sum(b - product @ stage) / (free @ (product @ free)))
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
         gains(0, m, t.mesh.conn, carried, change, own, gain)
@@ -126,7 +126,7 @@ def cool(
         left = left - dt if dt < left else 0.0
         steps += 1
     t.elements.heat[:] += heat
-    t.sums[2] += float(heat.sum())
+    t.balance.heat += float(heat.sum())
     after = _extremes(t)
     return {
         "time_s": time, "heat_steps": float(steps), "T_max_before_K": before[0], "T_max_after_K": after[0],
@@ -167,16 +167,16 @@ class _Conduction:
         column = [np.tile(np.arange(m), len(first))]
         for link in links:  # conductance k sqrt(area) / LINK_RESISTANCE, 0 where there is no area, times d d^T
             ends = np.concatenate([link.nodes[:, None], link.triangles], axis=1)
-            d = np.concatenate([np.ones((len(ends), 1)), -link.weights], axis=1)  # a node less its place on a triangle
+            d = np.concatenate([np.ones((len(ends), 1)), -link.weights], axis=1)  # a node less its point on a triangle
             d *= np.sqrt(np.sqrt(link.area) / LINK_RESISTANCE)[:, None]
             first_node.append(ends[:, first].ravel())
             second_node.append(ends[:, second].ravel())
             values.append(-(d[:, first] * d[:, second]).ravel())
             column.append(np.full(first_node[-1].size, m))
         a, b = np.concatenate(first_node), np.concatenate(second_node)
-        pairs, place = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+        pairs, row = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
         low, high = np.divmod(pairs, n)
-        parts = csr_matrix((np.concatenate(values), (place, np.concatenate(column))), shape=(len(pairs), m + 1))
+        parts = csr_matrix((np.concatenate(values), (row, np.concatenate(column))), shape=(len(pairs), m + 1))
         nodes = np.arange(n)
         rows, columns = np.concatenate([low, high, nodes]), np.concatenate([high, low, nodes])
         pattern = coo_matrix((np.arange(len(rows)), (rows, columns)), shape=(n, n)).tocsr()

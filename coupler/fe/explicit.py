@@ -1,6 +1,6 @@
 """The explicit finite-element target: central differences on tetrahedra with averaged nodal pressure.
 
-The step is that of LAMMPS (kick half, drift, forces, kick half), cut where contact is computed, once for both domains at n+1:
+The step is that of LAMMPS (kick half, drift, forces, kick half), divided where contact is computed, once for both domains at n+1:
 
     target.advance(dt)          v to n+1/2, x to n+1, stress and internal forces at n+1
     target.f_ext[...] += ...    contact forces at n+1
@@ -21,13 +21,13 @@ from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from . import kernels as k
-from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
+from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, ConductionState, take_heat
 from .inertia import ElementInertia, InertiaState, step_for
 from .mesh import TetMesh, cells_of, inverted
 from .model import Active, Elements, Metals, Nodes
 from .stability import FrequencyState, HighestFrequency, Springs
-from .state import EdgeState, ElementState, NodeState
+from .state import Balance, EdgeState, ElementState, NodeState
 from .window import LAYER, Edge, layer, outside
 
 LINEAR_VISCOSITY = 0.06
@@ -41,9 +41,8 @@ class TargetState:
     """State from which a target continues with the same numbers; the mesh is not part of it.
 
     force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
-    the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work, work of the bulk viscosity with what the inertia
-    of scaled elements has taken, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
-    least_mass kg; active_nodes, active_elements: how many are computed. edge: of a window, where that is elastic.
+    the dashpots; support (3,) N: from outside; dt_last s; reach, horizon m; least_mass kg; active_nodes, active_elements: how many are
+    computed. edge: of a window, where that is elastic.
     """
 
     nodes: NodeState
@@ -52,10 +51,8 @@ class TargetState:
     highest: FrequencyState | None
     edge: EdgeState | None
     inertia: InertiaState
-    internal_work: float
-    absorbed: float
+    balance: Balance
     dt_last: float
-    time: float
     reach: float
     horizon: float
     least_mass: float
@@ -64,8 +61,6 @@ class TargetState:
     force_suffix_sum: Annotated[np.ndarray, Shape(-1, 3)]
     drag: Annotated[np.ndarray, Shape(-1, 3)]
     support: Annotated[np.ndarray, Shape(3)]
-    impulse: Annotated[np.ndarray, Shape(3)]
-    sums: Annotated[np.ndarray, Shape(3)]
 
 
 class Target:
@@ -73,10 +68,9 @@ class Target:
 
     nodes, elements: its state (`fe.state`), whose arrays kernels change in place. f_ext (n,3) N. SI units. Nodes and elements are
     numbered outwards from the point of impact, or from the nearest of several, and only the first `active_nodes`, `active_elements` of
-    them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `window`) or the `limit` (m, see
+    them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `set_window`) or the `limit` (m, see
     `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
-    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how much the
-    half-space round the target has contracted, 1 at the start.
+    balance: energies so far. rest_scale: how much the half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
@@ -85,16 +79,9 @@ class Target:
     """
 
     def __init__(
-        self,
-        mesh: TetMesh,
-        laws: np.ndarray,
-        temperature: float | np.ndarray,
-        law_of: np.ndarray | None = None,
-        fixed: tuple[str, ...] = ("bottom",),
-        absorbing: tuple[str, ...] = (),
-        track_wave: bool = True,
-        conduction: bool = False,
-    ):
+        self, mesh: TetMesh, laws: np.ndarray, temperature: float | np.ndarray, law_of: np.ndarray | None = None,
+        fixed: tuple[str, ...] = ("bottom",), absorbing: tuple[str, ...] = (), track_wave: bool = True, conduction: bool = False,
+    ):  # fmt: skip
         """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
 
         temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
@@ -129,11 +116,8 @@ class Target:
         )
         self.spring_nodes, self.springs = foundation(mesh, self.laws["G"][self.law_of])
         self.rest_scale = 1.0
-        self.sums = np.zeros(3)  # plastic work, numerical dissipation and heat put into the nodes' energy, J
-        self.internal_work = self.absorbed = 0.0
+        self.balance, self.dt_last, self.support = Balance(), 0.0, np.zeros(3)
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
-        self.support, self.impulse = np.zeros(3), np.zeros(3)
-        self.dt_last, self.time = 0.0, 0.0
         self._highest: HighestFrequency | None = None
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
@@ -143,6 +127,11 @@ class Target:
         #: (m+1,): how many nodes the first elements reach up to
         self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self.balance.time
 
     @property
     def spring_rest(self) -> np.ndarray:
@@ -175,9 +164,9 @@ class Target:
         self._weigh()
         return float(self.mass.sum()) - before
 
-    def window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
+    def set_window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
         """Compute nothing farther than `radius` m from the point of impact (`fe.window`). origin (3,) m: that point, for an edge that
-        is elastic, at rest where it is or at rest (k,3) m; None: the edge is held, and waves are damped before it.
+        is elastic, at rest where it is or at rest (k,3) m; None: the edge is fixed, and waves are damped before it.
 
         What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
         elements are within.
@@ -196,8 +185,11 @@ class Target:
             beyond, nodes, damping = np.setdiff1d(beyond, self.edge.nodes), self.edge.nodes, self.edge.damping
         self.fixed = np.union1d(self.fixed, beyond)
         self.inv_mass[self.fixed] = 0.0
-        self.dashpot_nodes, self.dashpot = together_with(self.dashpot_nodes, self.dashpot, nodes, damping)
-        self.drag = np.zeros((len(self.dashpot_nodes), 3))
+        matrix = np.zeros((len(self.mass), 3, 3))
+        matrix[self.dashpot_nodes] = self.dashpot
+        matrix[nodes] += damping
+        self.dashpot_nodes = np.union1d(self.dashpot_nodes, nodes)
+        self.dashpot, self.drag = matrix[self.dashpot_nodes], np.zeros((len(self.dashpot_nodes), 3))
         self.deactivate_beyond(self.reach)
         return m
 
@@ -258,13 +250,13 @@ class Target:
         Raises SolverError when a tetrahedron inverts.
         """
         half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
-        self.impulse += half_step * self.support
+        self.balance.impulse += half_step * self.support
         self._activate(dt)
         self.move(kicked, half_step, dt, self.inv_mass, (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY))
         if is_conducting and self.conduction is not None:
             self.conduction.advance(dt, self)
         self.dt_last = dt
-        self.time += dt
+        self.balance.time += dt
 
     def move(
         self, kicked: int, kick: float, dt: float, inv_mass: np.ndarray, viscosity: tuple[float, float] = (0.0, 0.0)
@@ -283,29 +275,32 @@ class Target:
         )  # fmt: skip
         if smallest.min() <= 0.0:
             raise SolverError(inverted(self))
-        self.sums += sums.sum(axis=0)
+        plastic, viscous, heat = sums.sum(axis=0).tolist()
+        self.balance.plastic += plastic
+        self.balance.numerical += viscous
+        self.balance.heat += heat
 
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
         self.add_up(self.dt_last)
         if len(self.dashpot_nodes):
             power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.nodes.v, self.drag, self.nodes.total)
-            self.absorbed -= 0.5 * self.dt_last * power
+            self.balance.absorbed -= 0.5 * self.dt_last * power
             self.support += motion.sum_over(0, len(self.drag), self.drag)
         self.pull()
         if len(self.fixed):
             self.support -= motion.sum_at(self.fixed, self.nodes.total)
         if self.inertia.most > 0.0:
-            lost, held = self.inertia.advance(self, self.nodes.total, self.active_nodes, self.dt_last)
-            self.sums[1] += lost
-            self.support -= held
+            lost, taken = self.inertia.advance(self, self.nodes.total, self.active_nodes, self.dt_last)
+            self.balance.numerical += lost
+            self.support -= taken
 
     def add_up(self, dt: float) -> None:
         """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
         n = self.active_nodes
         work, nodes = np.zeros(PARTS), self.nodes
         together(motion.add_up, n, dt, nodes.f_old, nodes.f, nodes.v, self.f_ext, nodes.total, work)
-        self.internal_work -= float(work.sum())
+        self.balance.internal_work -= float(work.sum())
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
         self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.nodes.x), self.f_ext)
 
@@ -324,14 +319,13 @@ class Target:
 
     def external_impulse(self) -> np.ndarray:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
-        return self.impulse + 0.5 * self.dt_last * self.support
+        return self.balance.impulse + 0.5 * self.dt_last * self.support
 
     def state(self) -> TargetState:
         """State from which the target continues with the same numbers. The mesh is not part of it."""
-        nodes, elements = copied(self.nodes), copied(self.elements)
         return collect(
-            TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state(),
-            edge=self.edge and self.edge.state(),
+            TargetState, self, nodes=copied(self.nodes), elements=copied(self.elements), balance=collect(Balance, self.balance),
+            highest=self._highest and self._highest.state(), edge=self.edge and self.edge.state(),
         )  # fmt: skip
 
     def restore(self, state: TargetState) -> None:
@@ -342,10 +336,11 @@ class Target:
         self.least_mass = state.least_mass
         self._weigh()
         if state.horizon != self.horizon:
-            self.window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
+            self.set_window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
         assign(self, state)
+        self.balance = collect(Balance, state.balance)
         put(state.nodes, self.nodes)
         put(state.elements, self.elements)
         check_indices(state.inertia, nodes=n)
@@ -360,24 +355,20 @@ class Target:
             self._highest = HighestFrequency(n, m)
             self._highest.restore(state.highest)
 
-    def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
-        """Start from the state of nodes and elements (`target.domain`); the ledger continues from the ledger of `before`."""
+    def start_from(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
+        """Start from the state of nodes and elements (`target.domain`); the balance continues from that of `before`."""
         self.nodes, self.elements = nodes, elements
-        self.sums, self.impulse = before.sums.copy(), before.impulse.copy()
-        self.internal_work, self.absorbed = before.internal_work, before.absorbed
-        self.time, self.rest_scale = before.time, before.rest_scale
+        self.balance, self.rest_scale = collect(Balance, before.balance), before.rest_scale
         self._store_inactive_forces()
 
-    def rest(self) -> float:
-        """Set all velocities to zero; returns the kinetic energy before, J."""
-        kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.nodes.v, self.nodes.v))
-        self.impulse = self.external_impulse() - self.mass @ self.nodes.v  # what stopped it came from outside
+    def rest(self) -> None:
+        """Set all velocities to zero."""
+        self.balance.impulse = self.external_impulse() - self.mass @ self.nodes.v  # what stopped it came from outside
         self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         self.inertia = ElementInertia()
         if self.least_mass > 0.0:
             self.least_mass = 0.0
             self._weigh()
-        return kinetic
 
     def activate_all(self, limit: float = np.inf) -> None:
         """Make all nodes and elements active that are within `limit` m of the point of impact, and no others until
@@ -413,12 +404,12 @@ class Target:
         """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of half-space and edge."""
         m, e = len(self.mesh.conn), self.elements  # inactive elements may be under stress
         shear = k.elastic_shear_energy(0, m, self.mesh.V0, self.metals, e.volume, e.s)
-        way = self.nodes.x[self.spring_nodes] - self.spring_rest
-        shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
+        u = self.nodes.x[self.spring_nodes] - self.spring_rest
+        shear += 0.5 * float(np.einsum("ai,aij,aj->", u, self.springs, u))
         if self.edge is not None:
             shear += self.edge.energy(self.nodes.x)
         pending = float(np.sum(self.elements.heat))  # reaches the nodes in the next step
-        return shear + float(self.mesh.node_volume @ self.nodes.energy) - (float(self.sums[2]) - pending)
+        return shear + float(self.mesh.node_volume @ self.nodes.energy) - (float(self.balance.heat) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (J, one for each of `elements`, repeats allowed) into elements, which become active.
@@ -432,7 +423,9 @@ class Target:
             self.reach = float(np.nextafter(reached, np.inf))
             self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.elements.T)), float)
-        self.sums[2] += take_heat(0, self.active_elements, gain, self.cells, self.metals, Elements.of(self.elements))
+        self.balance.heat += take_heat(
+            0, self.active_elements, gain, self.cells, self.metals, Elements.of(self.elements)
+        )
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""

@@ -11,30 +11,32 @@ Faces are adiabatic.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from math import ceil
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from ..compiling import njit
 from ..core import safety
 from ..core.arrays import Floats, Ints
+from ..core.loops import PARTS, ranges
 from ..core.records import Shape, assign, collect
-from ..core.threads import share
+from ..core.threads import together
+from ..errors import CheckpointError
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
-LEAST = 4000  # elements or nodes in a range of a shared loop
+LEAST = 4000  # elements or nodes in a range of a loop that threads share
 
 
-@dataclass(frozen=True)
+@dataclass
 class ConductionState:
-    """last (m,) K: temperatures of the elements after the last call; capacity (n,) J/K and T (n,) K of the nodes; known (n,): whether a
-    node has a temperature; elapsed s and steps since the start and the last call."""
+    """Record of the conduction over n nodes and m elements. known_elements: the first ones, whose nodes have a temperature; elapsed s
+    since the last conduction and steps since the start; last (m,) K: temperatures of the elements after the last conduction; of the
+    nodes capacity (n,) J/K, T (n,) K, and known (n,): whether a node has a temperature."""
 
     known_elements: int
     elapsed: float
@@ -45,100 +47,116 @@ class ConductionState:
     known: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
-class Conduction:
-    """Conduction over the elements of one target of n nodes and m elements.
+class Flow(NamedTuple):
+    """Arrays of the kernels. Elements: share (m,) J/K, a quarter of the heat capacity; rate (m,) 1/s; flow (m,4) W into the nodes; own
+    (m,) K lost to the nodes; gain (m,) J; last (m,) K. Nodes: capacity (n,) J/K; T, mean, change (n,) K."""
 
-    T (n,) K: temperatures of the nodes, set from the elements when a node is first active.
-    """
+    share: Floats
+    rate: Floats
+    flow: Floats
+    own: Floats
+    gain: Floats
+    last: Floats
+    capacity: Floats
+    T: Floats
+    mean: Floats
+    change: Floats
+
+
+class Conduction:
+    """Conduction over the elements of one target of n nodes and m elements; record: what later calls need of it. A node gets its
+    temperature from the elements when it is first active."""
 
     def __init__(self, n: int, m: int):
-        self.share, self.rate, self.flow = np.zeros(m), np.zeros(m), np.zeros((m, 4))
-        self.last, self.own, self.gain = np.zeros(m), np.zeros(m), np.zeros(m)
-        self.capacity, self.T, self.mean, self.change = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        self.known, self.known_elements = np.zeros(n, bool), 0
-        self.elapsed, self.steps = 0.0, 0
+        r = self.record = ConductionState(0, 0.0, 0, np.zeros(m), np.zeros(n), np.zeros(n), np.zeros(n, bool))
+        share, rate, own, gain, flow = *np.zeros((4, m)), np.zeros((m, 4))
+        self.arrays = Flow(share, rate, flow, own, gain, r.last, r.capacity, r.T, np.zeros(n), np.zeros(n))
 
     def state(self) -> ConductionState:
-        """The history that later calls need."""
-        return collect(ConductionState, self)
+        """A copy of the record."""
+        return collect(ConductionState, self.record)
 
     def restore(self, state: ConductionState) -> None:
-        """Put a `state` into the conduction of the same mesh."""
-        assign(self, state)
+        """Put a `state` into the conduction of the same mesh. Raises CheckpointError where it does not fit."""
+        if len(state.T) != len(self.record.T) or len(state.last) != len(self.record.last):
+            raise CheckpointError("a state does not fit: heat is conducted between other nodes or elements")
+        assign(self.record, state)
 
     def advance(self, dt: float, t: FiniteElements) -> None:
         """Note a mechanical step of dt (s); in every EVERY-th conduct over all the time since the last."""
-        self.elapsed += dt
-        self.steps += 1
-        if self.steps % EVERY == 0:
-            self.conduct(self.elapsed, t)
-            self.elapsed = 0.0
+        self.record.elapsed += dt
+        self.record.steps += 1
+        if self.record.steps % EVERY == 0:
+            self.conduct_for(self.record.elapsed, t)
+            self.record.elapsed = 0.0
 
-    def conduct(self, time: float, t: FiniteElements) -> None:
+    def conduct_for(self, time: float, t: FiniteElements) -> None:
         """Conduct among the active elements, whose boundary is adiabatic, for a time (s) in as many stable steps as it takes.
 
-        T and sigma_y of t move on; its heat is increased by what each element gains.
+        T and sigma_y of t change; its heat is increased by what each element gains.
         """
         n, m, left = t.active_nodes, t.active_elements, time
         if m == 0:
             return
         self._sync_nodes(t)
         while left > 0.0:
-            fastest = 4.0 * self._flows(t)
+            fastest = 4.0 * self.flows(t)
             dt = left / ceil(left * fastest / (2.0 * safety.CONDUCTION)) if fastest > 0.0 else left
-            share(partial(self._lose_excess, t, dt), m, LEAST)
-            self._means(t, self.own)
-            share(partial(self._change_nodes, t, dt), n, LEAST)
-            share(partial(self._change_elements, t), m, LEAST)
+            together(_level, n, m, dt, t.cells, t.metals, Elements.of(t.elements), self.arrays)
             left = left - dt if left > 1.5 * dt else 0.0
-
-    def _lose_excess(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
-        excesses(lo, hi, dt, t.mesh.conn, self.T, t.elements.T, self.rate, self.own)
-
-    def _change_nodes(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
-        changes(lo, hi, dt, t.cells, self.flow, self.capacity, self.mean, self.change)
-        self.T[lo:hi] += self.change[lo:hi]
-
-    def _change_elements(self, t: FiniteElements, lo: int, hi: int) -> None:
-        gains(lo, hi, t.mesh.conn, self.share, self.change, self.own, self.gain)
-        take_heat(lo, hi, self.gain, t.cells, t.metals, Elements.of(t.elements))
-        self.last[lo:hi] = t.elements.T[lo:hi]
 
     def _sync_nodes(self, t: FiniteElements) -> None:
         """Add to the nodes the rise of temperature of their elements since the last call."""
-        n, m, known = t.active_nodes, t.active_elements, self.known_elements
-        self.own[:known] = t.elements.T[:known] - self.last[:known]
-        self.own[known:m] = 0.0
-        self._means(t, self.own)
-        self.T[:n] += self.mean[:n]
+        n, m, r, a = t.active_nodes, t.active_elements, self.record, self.arrays
+        known = r.known_elements
+        a.own[:known] = t.elements.T[:known] - r.last[:known]
+        a.own[known:m] = 0.0
+        together(_averages, n, m, t.cells, t.metals, t.elements.T, a.own, a)
+        r.T[:n] += a.mean[:n]
         if m > known:
-            self._means(t, t.elements.T)
-            fresh = (self.capacity > 0.0) & ~self.known
-            self.T[fresh] = self.mean[fresh]
-            self.known |= fresh
-            self.known_elements = m
+            together(_averages, n, m, t.cells, t.metals, t.elements.T, t.elements.T, a)
+            fresh = (r.capacity > 0.0) & ~r.known
+            r.T[fresh] = a.mean[fresh]
+            r.known |= fresh
+            r.known_elements = m
 
-    def _means(self, t: FiniteElements, value: np.ndarray) -> None:
+    def flows(self, t: FiniteElements) -> float:
+        """Heat that flows between nodes, W, into arrays.flow; returns the fastest rate of an element, 1/s."""
+        fastest = np.zeros(PARTS)
+        m, volume = t.active_elements, t.elements.volume
+        together(_flows, m, t.nodes.x, volume, t.cells, t.metals, self.arrays, fastest)
+        return float(fastest.max())
 
-        def carried(lo: int, hi: int) -> None:
-            shares(lo, hi, t.cells, t.metals, t.elements.T, self.share)
 
-        def averaged(lo: int, hi: int) -> None:
-            means(lo, hi, t.cells, self.share, value, self.capacity, self.mean)
+@njit(cache=True, nogil=True)
+def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow, fastest: Floats) -> None:
+    """`flows` of the first m elements in all threads; fastest (PARTS,) 1/s."""
+    for lo, hi, part in ranges(team, 0, m, LEAST):
+        fastest[part] = flows(lo, hi, x, volume, c, metals, a)
 
-        share(carried, t.active_elements, LEAST)
-        share(averaged, t.active_nodes, LEAST)
 
-    def _flows(self, t: FiniteElements) -> float:
-        """What flows between nodes, W; returns the fastest rate of an element, 1/s."""
-        fastest: list[float] = []
+@njit(cache=True, nogil=True)
+def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, value: Floats, a: Flow) -> None:
+    """`means` of a value (m,) of the elements at temperatures T (m,) K, in all threads."""
+    for lo, hi, _ in ranges(team, 0, m, LEAST):
+        shares(lo, hi, c, metals, T, a.share)
+    for lo, hi, _ in ranges(team, 1, n, LEAST):
+        means(lo, hi, c, a.share, value, a.capacity, a.mean)
 
-        def flow(lo: int, hi: int) -> None:
-            x, volume = t.nodes.x, t.elements.volume
-            fastest.append(flows(lo, hi, x, volume, t.cells, t.metals, self.T, self.share, self.rate, self.flow))
 
-        share(flow, t.active_elements, LEAST)
-        return max(fastest)
+@njit(cache=True, nogil=True)
+def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elements: Elements, a: Flow) -> None:
+    """A step of dt (s) of the first n nodes and m elements with the `flows`, in all threads."""
+    for lo, hi, _ in ranges(team, 0, m, LEAST):
+        excesses(lo, hi, dt, c.conn, a.T, elements.T, a.rate, a.own)
+        shares(lo, hi, c, metals, elements.T, a.share)
+    for lo, hi, _ in ranges(team, 1, n, LEAST):
+        means(lo, hi, c, a.share, a.own, a.capacity, a.mean)
+        changes(lo, hi, dt, c, a)
+    for lo, hi, _ in ranges(team, 2, m, LEAST):
+        gains(lo, hi, c.conn, a.share, a.change, a.own, a.gain)
+        take_heat(lo, hi, a.gain, c, metals, elements)
+        a.last[lo:hi] = elements.T[lo:hi]
 
 
 @njit(cache=True, nogil=True)
@@ -173,13 +191,13 @@ def excesses(lo: int, hi: int, dt: float, conn: Ints, nodal: Floats, T: Floats, 
 
 @njit(cache=True, nogil=True)
 def flows(
-    lo: int, hi: int, x: Floats, volume: Floats, c: Cells, metals: Metals, T: Floats, share: Floats, rate: Floats, flow: Floats,
+    lo: int, hi: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow
 ) -> float:  # fmt: skip
     """Heat that each element conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,).
 
     k is taken at the mean of the nodes. rate (m,): k v tr(sum b b^T) / capacity, 1/s. Returns the largest rate.
     """
-    largest = 0.0
+    T, flow, rate, largest = a.T, a.flow, a.rate, 0.0
     for e in range(lo, hi):
         n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
         # gradients of the shape functions of nodes 1 to 3, times six volumes
@@ -194,21 +212,20 @@ def flows(
         flow[e, 0] = weight * (f1 + f2 + f3)
         trace = p0 * p0 + p1 * p1 + p2 * p2 + q0 * q0 + q1 * q1 + q2 * q2 + r0 * r0 + r1 * r1 + r2 * r2
         trace += s0 * s0 + s1 * s1 + s2 * s2
-        rate[e] = 0.25 * weight * trace / share[e]
+        rate[e] = 0.25 * weight * trace / a.share[e]
         largest = max(largest, rate[e])
     return largest
 
 
 @njit(cache=True, nogil=True)
-def changes(
-    lo: int, hi: int, dt: float, c: Cells, flow: Floats, capacity: Floats, mean: Floats, change: Floats
-) -> None:
-    """Rise of temperature of each node over dt (s), K, into change (n,): mean (n,) K and what flows in."""
-    for a in range(lo, hi):
+def changes(lo: int, hi: int, dt: float, c: Cells, a: Flow) -> None:
+    """Rise of temperature of each node over dt (s), K, into change (n,) and T (n,): mean (n,) K and what flows in."""
+    for i in range(lo, hi):
         heat = 0.0
-        for r in range(c.start[a], c.start[a + 1]):
-            heat += flow[c.table[r] >> 2, c.table[r] & 3]
-        change[a] = mean[a] + dt * heat / capacity[a] if capacity[a] > 0.0 else 0.0
+        for r in range(c.start[i], c.start[i + 1]):
+            heat += a.flow[c.table[r] >> 2, c.table[r] & 3]
+        a.change[i] = a.mean[i] + dt * heat / a.capacity[i] if a.capacity[i] > 0.0 else 0.0
+        a.T[i] += a.change[i]
 
 
 @njit(cache=True, nogil=True)

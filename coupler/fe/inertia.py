@@ -46,7 +46,7 @@ class ElementInertia:
         self.taken = np.zeros((0, 3))
         self._last: np.ndarray = self.nodes  # those of `taken`
         self._corners: np.ndarray = np.zeros((0, 4), np.int64)
-        self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are not held
+        self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are free
 
     def state(self) -> InertiaState:
         """State for the next step: elements are chosen again before it."""
@@ -80,13 +80,13 @@ class ElementInertia:
         mass = t.laws["rho"][t.law_of[chosen]] * t.mesh.V0[chosen]
         self._mu = 0.25 * mass * (self.factor - 1.0)
         self._corners = t.mesh.conn[chosen]
-        nodes, place = np.unique(self._corners.astype(np.int64), return_inverse=True)
-        place = place.reshape(-1, 4)
+        nodes, row = np.unique(self._corners.astype(np.int64), return_inverse=True)
+        row = row.reshape(-1, 4)
         free = t.inv_mass[nodes] > 0.0
         M = np.zeros((len(nodes), len(nodes)))
         for i in range(4):
             for j in range(4):
-                np.add.at(M, (place[:, i], place[:, j]), self._mu * ((i == j) - 0.25))
+                np.add.at(M, (row[:, i], row[:, j]), self._mu * ((i == j) - 0.25))
         M[np.diag_indices_from(M)] += t.mass[nodes]
         self.nodes = nodes[free]
         self._share = t.mass[self.nodes][:, None] * np.linalg.inv(M[np.ix_(free, free)])
@@ -98,7 +98,7 @@ class ElementInertia:
 
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
         """`slow` the forces total (n,3) N of all that acts on the first n nodes, which move, at the end of a step of dt s. Returns what
-        it took from their work in the step, J, and from their sum, (3,) N: nodes that are held have it."""
+        it took from their work in the step, J, and from their sum, (3,) N: fixed nodes have it."""
         work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self._last]))
         before = total[self.nodes]
         moving = self.nodes < n

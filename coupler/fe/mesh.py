@@ -11,7 +11,7 @@ from ..errors import SolverError
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
 from .model import Cells, Metals
-from .state import ElementState, NodeState
+from .state import Balance, ElementState, NodeState
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class FiniteElements(Protocol):
     mass: np.ndarray
     inv_mass: np.ndarray
     dt_of: np.ndarray
-    time: float
+    balance: Balance
     active_nodes: int
     active_elements: int
 
@@ -130,6 +130,6 @@ def inverted(t: FiniteElements) -> str:
     within = f", in splat{body}," if body else ""
     remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"
     return (
-        f"element {e} of the target{within} inverted at t = {t.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um: try"
+        f"element {e} of the target{within} inverted at t = {t.balance.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um: try"
         f" {remedy} or a smaller dt"
     )

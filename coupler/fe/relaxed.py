@@ -54,7 +54,7 @@ class Relaxation:
     def advance(self, damping: float) -> None:
         """`Target.advance`. damping: over the critical one of the step, by which the forces are divided."""
         t, n = self.target, self.target.active_nodes
-        t.impulse += self.dt * t.support
+        t.balance.impulse += self.dt * t.support
         np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])
         t.move(n, self.dt, self.dt, self._damped)
 
@@ -69,6 +69,8 @@ class Relaxation:
     def rest(self) -> None:
         """Set all velocities to zero."""
         t = self.target
-        t.impulse = t.impulse + 0.5 * self.dt * t.support - self.mass @ t.nodes.v  # what stopped it came from outside
+        t.balance.impulse = (
+            t.balance.impulse + 0.5 * self.dt * t.support - self.mass @ t.nodes.v
+        )  # what stopped it came from outside
         t.nodes.v[:], t.support = 0.0, np.zeros(3)
         t.rest()

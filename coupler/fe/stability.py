@@ -169,15 +169,9 @@ class HighestFrequency:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
     def longest_step(
-        self,
-        t: FiniteElements,
-        bound: float,
-        n: int,
-        m: int,
-        springs: Springs | None = None,
-        inertia: ElementInertia | None = None,
-        masses: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> float:
+        self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None,
+        inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> float:  # fmt: skip
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
 
         springs: between nodes; inertia: of scaled elements; both are in the bound too. masses: of the nodes (n,) kg and their inverses,

@@ -1,6 +1,6 @@
 """The state of the target as records: a further field here is stored, restored, renumbered and joined."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -40,6 +40,27 @@ class ElementState(MetalState):
     fe: Annotated[np.ndarray, Rows(4, 3)]
     element_number: Annotated[np.ndarray, Rows(dtype=np.int64, fill=-1)]
     thermal_stress: Annotated[np.ndarray, Rows(6)]
+
+
+@dataclass
+class Balance:
+    """Energy balance of a target, J, from its start: plastic work; numerical dissipation, the work of the bulk viscosity with what the
+    inertia of scaled elements has taken; heat put into the nodes' energy; internal work; energy absorbed at boundaries. impulse (3,)
+    N s: from outside; time s."""
+
+    plastic: float = 0.0
+    numerical: float = 0.0
+    heat: float = 0.0
+    internal_work: float = 0.0
+    absorbed: float = 0.0
+    time: float = 0.0
+    impulse: Annotated[np.ndarray, Shape(3)] = field(default_factory=lambda: np.zeros(3))
+
+    def __add__(self, other: "Balance") -> "Balance":
+        return Balance(*(vars(self)[name] + value for name, value in vars(other).items()))
+
+    def __sub__(self, other: "Balance") -> "Balance":
+        return Balance(*(vars(self)[name] - value for name, value in vars(other).items()))
 
 
 @dataclass(frozen=True)

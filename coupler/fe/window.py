@@ -1,7 +1,7 @@
 """A window on the target: what lies beyond a radius round the impact is not computed.
 
 The forces of its resting elements are in equilibrium and have to be added up only once. In an impact the nodes on the window's edge
-have springs and dashpots, which stand for what goes on beyond it (`Edge`). In a relaxation they are held, and before them a layer
+have springs and dashpots, which replace the elements beyond it (`Edge`). In a relaxation they are fixed, and before them a layer
 takes velocity away, with a rate that grows with the square of the depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
 """
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import areas_and_normals
+from .boundary import add_matrices
 from .mesh import FiniteElements, TetMesh
 from .state import EdgeState
 
@@ -61,8 +62,8 @@ class Edge:
         chosen = np.zeros(n, bool)
         chosen[among] = True
         faces, behind = boundary_faces(t.mesh.conn[:elements])
-        cut = chosen[faces].all(axis=1) & ~np.isin(_keys(faces, n), _keys(t.mesh.facets, n))
-        faces, law = faces[cut], t.laws[t.law_of[behind[cut]]]
+        inner = chosen[faces].all(axis=1) & ~np.isin(_keys(faces, n), _keys(t.mesh.facets, n))
+        faces, law = faces[inner], t.laws[t.law_of[behind[inner]]]
         nodes, x = np.unique(faces), t.nodes.x
         if rest is not None:
             x = x.copy()
@@ -73,13 +74,13 @@ class Edge:
         radial = away / R[:, None]
         area = area * np.einsum("ij,ij->i", normal, radial)  # of a ragged edge that on the sphere
         c_p, c_s = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"]), np.sqrt(law["G"] / law["rho"])
-        spring, dashpot = (
-            _of_nodes(faces, area, radial, along, across, n)[nodes]
-            for along, across in (
-                (NORMAL * law["G"] / R, 0.5 * NORMAL * law["G"] / R),
-                (law["rho"] * c_p, law["rho"] * c_s),
-            )
+        matrices = np.zeros((2, n, 3, 3))
+        add_matrices(faces, area, radial, NORMAL * law["G"] / R, 0.5 * NORMAL * law["G"] / R, matrices[0])
+        add_matrices(faces, area, radial, law["rho"] * c_p, law["rho"] * c_s, matrices[1])
+        matrices[:, np.bincount(faces.T.ravel(), np.tile(area, 3), n) <= 0.0] = (
+            0.0  # nodes that the sphere does not pass
         )
+        spring, dashpot = matrices[:, nodes]
         return cls(nodes, x[nodes], spring, dashpot, np.zeros((len(nodes), 3)), origin).loaded(t, elements)
 
     def loaded(self, t: FiniteElements, elements: int) -> "Edge":
@@ -106,18 +107,3 @@ def _keys(faces: np.ndarray, n: int) -> np.ndarray:
     """A number for each triangle (k,3) of n nodes that does not depend on the order of its corners."""
     a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
     return (a * n + b) * n + c
-
-
-def _of_nodes(
-    faces: np.ndarray, area: np.ndarray, radial: np.ndarray, along: np.ndarray, across: np.ndarray, n: int
-) -> np.ndarray:
-    """Matrices (n,3,3): a third of (along r r^T + across (1 - r r^T)) area of each facet to its nodes; none where the areas of a node
-    add up to less than nothing."""
-    rr = radial[:, :, None] * radial[:, None, :]
-    share = (area / 3.0)[:, None, None] * (along[:, None, None] * rr + across[:, None, None] * (np.eye(3) - rr))
-    matrix, own = np.zeros((n, 3, 3)), np.zeros(n)
-    for i in range(3):
-        np.add.at(matrix, faces[:, i], share)
-        np.add.at(own, faces[:, i], area)
-    matrix[own <= 0.0] = 0.0
-    return matrix

@@ -23,7 +23,7 @@ from numpy.lib.npyio import NpzFile
 from ..core.records import Shape, rows_of, shapes_of
 from ..errors import CheckpointError, StoreError, UnreadableError
 
-FORMAT = 23
+FORMAT = 24
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _OF_AN_ARRAY = 600  # bytes beside its numbers, at most

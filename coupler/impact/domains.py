@@ -26,7 +26,7 @@ from ..plan.planning import Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
 from ..target.bodies import Bodies, BodiesState
-from ..target.places import level_under
+from ..target.positions import level_under
 from .folding import Folding, folding
 from .heat import HeatPaths
 

@@ -14,13 +14,13 @@ from scipy.sparse import hstack
 
 from ..contact.bond import Bond
 from ..contact.contact import ContactState
-from ..contact.hold import SECURE, Hold, bonds_at
 from ..contact.model import Nodes
+from ..contact.particle_bonds import SECURE, ParticleBonds
 from ..core.records import Shape, assign, check_indices, collect
 from ..errors import CheckpointError, SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
-from ..physics.adhesion import HELD_STIFFNESS, oxide_film
+from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
 from ..plan.cost import CHUNK
@@ -73,7 +73,7 @@ class Impact:
         self.force = np.zeros(3)
         self.deepest = 0.0
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
-        self.hold: Hold | None = None
+        self.hold: ParticleBonds | None = None
         self.exposure: Exposure | None = None
         self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
@@ -93,7 +93,7 @@ class Impact:
     def grip(self) -> Grip:
         """How bonds hold the particle: by the energy that they can absorb over the energy left to break them, which is the kinetic
         energy of the centre of mass normal to the surface plus the energy stored in the bonds."""
-        if self.hold is None or not self.hold.whole.any():
+        if self.hold is None or self.hold.bond.broken.all():
             return "free"
         if self.sinking < 0.0 and self.hold.gives_way(self.normal_energy):
             return "free"
@@ -109,7 +109,7 @@ class Impact:
     def dissipated(self) -> float:
         """Plastic work and heat of friction so far, J, including the amounts of the target before the impact."""
         rubbed = 0.0 if self.folding is None else self.folding.contact.friction_heat
-        return self.particle.totals.plastic + float(self.target.sums[0]) + self.contact.friction_heat + rubbed
+        return self.particle.totals.plastic + self.target.balance.plastic + self.contact.friction_heat + rubbed
 
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
@@ -144,7 +144,7 @@ class Impact:
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""
         travel = 1.5 * self._fastest() * time
-        bonded = self.hold.rows if self.hold is not None else ()
+        bonded = self.hold.bond.nodes if self.hold is not None else ()
         self.contact.search(self.surface.contacts(self.particle.x), self.target.nodes.x, travel, always=bonded)
         self.contact.points.f[:] = 0.0
         if self.folding is not None:
@@ -189,34 +189,36 @@ class Impact:
         self.exposure.update(self.domains, touching, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
+        """Bond the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
         By exposure a place bonds when its pressure has fallen below that of extrusion, and anew when it has risen above it again: until
         then fresh metal welds as it slides.
         Of both sides the larger strain counts. Raises SolverError where strength and energy make no bond.
         """
         if self.hold is not None and self.exposure is not None:
-            again = self.exposure.extruding[self.hold.rows]
+            again = self.exposure.extruding[self.hold.bond.nodes]
             if again.any():
                 self.hold.bond.drop(again)
-                self.hold = Hold(self.hold.bond, *self._rings)
+                self.hold = ParticleBonds(self.hold.bond, *self._rings)
         chosen = touching.pressed
         if self.hold is not None:
-            chosen &= ~np.isin(touching.rows, self.hold.rows)
+            chosen &= ~np.isin(touching.rows, self.hold.bond.nodes)
         if chosen.any():
             chosen &= self._meets_criterion(plan, impact_plan, touching)
         if not chosen.any():
             return
         p, t, s = self.particle, self.target, self.surface
         rows, facets, law_of = touching.rows[chosen], touching.facets[chosen], t.law_of[touching.element[chosen]]
-        stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
+        stiffness = PARTICLE_BOND_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
         if self.exposure is not None and self._films is not None:
             law = self.exposure.bonds(rows, self._films[law_of, 1], touching.strength[chosen], stiffness)
         else:
             metals = self._metals(plan)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
-        later = bonds_at(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
-        self.hold = Hold(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
+        later = Bond.tie(
+            rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law, loose=True
+        )
+        self.hold = ParticleBonds(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
         """Mask (k,) of the touching vertices that bond by the criterion."""
@@ -268,4 +270,4 @@ class Impact:
             raise CheckpointError("a state does not fit: the particle has another surface")
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
-            self.hold = Hold(state.hold, *self._rings)
+            self.hold = ParticleBonds(state.hold, *self._rings)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..contact.contact import Contact
-from ..contact.hold import Hold
+from ..contact.particle_bonds import ParticleBonds
 from ..fe.explicit import Target
 from ..geometry.triangles import areas, vertex_areas
 from ..particle.carried_surface import CarriedSurface
@@ -40,7 +40,7 @@ class HeatPaths:
                 self._warm_surface(rows, -heat)
                 self.target.warm(elements, heat)
 
-    def release(self, hold: Hold | None) -> None:
+    def release(self, hold: ParticleBonds | None) -> None:
         """Turn the heat of friction, and of torn bonds, since the last call into temperature, of points and of the elements behind
         facets. The particle gets the contact's `share` of the heat of bonds."""
         if not self.friction:
@@ -56,7 +56,7 @@ class HeatPaths:
         if self.folding is not None and (heat := self.folding.heat()).any():
             self.particle.warm(heat)
         if hold is not None and (heat := hold.bond.heat()).any():
-            self._warm_surface(hold.rows, contact.share * heat)
+            self._warm_surface(hold.bond.nodes, contact.share * heat)
             target.warm_around(hold.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
 
     def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ..contact.hold import Hold
+from ..contact.particle_bonds import ParticleBonds
 from ..core.records import Shape
 from ..errors import SolverError
 from .domains import Domains
@@ -51,7 +51,7 @@ class Ledger:
         scale, before = float(np.linalg.norm(momentum)), _terms(domains, None)
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
-    def update(self, domains: Domains, hold: Hold | None = None) -> dict[str, float]:
+    def update(self, domains: Domains, hold: ParticleBonds | None = None) -> dict[str, float]:
         """Energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum) of this instant.
 
         hold: the bond of the particle to the target, None without one.
@@ -107,20 +107,20 @@ class Ledger:
             )
 
 
-def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
+def _terms(domains: Domains, hold: ParticleBonds | None) -> dict[str, float]:
     """Present value of each term of the ledger, J."""
     particle, target, contact = domains.particle.totals, domains.target, domains.contact
     r = {"kinetic_particle": particle.kinetic, "kinetic_target": target.kinetic()}
     r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]
     r["elastic_particle"], r["elastic_target"] = particle.elastic, target.elastic()
-    r["plastic_particle"], r["plastic_target"] = particle.plastic, float(target.sums[0])
+    r["plastic_particle"], r["plastic_target"] = particle.plastic, target.balance.plastic
     r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
     r["viscosity_particle"], r["hourglass_particle"] = particle.viscosity, particle.hourglass
     r["unexplained_particle"] = r["numerical_particle"] - r["viscosity_particle"] - r["hourglass_particle"]
-    r["numerical_target"] = float(target.sums[1])
+    r["numerical_target"] = target.balance.numerical
     contacts = [contact] if domains.folding is None else [contact, domains.folding.contact]
     r["contact"] = sum(c.penalty_energy + c.dropped_energy for c in contacts)
     r["friction"] = sum(c.friction_heat for c in contacts)
-    r["boundary"], r["bodies"] = target.absorbed, domains.bodies.energy
-    r["bond"] = hold.energy if hold is not None else 0.0
+    r["boundary"], r["bodies"] = target.balance.absorbed, domains.bodies.energy
+    r["bond"] = hold.bond.work if hold is not None else 0.0
     return r

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contact.hold import Hold
+from ..contact.particle_bonds import ParticleBonds
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
 from ..plan.forecast import forecast
@@ -53,7 +53,7 @@ class ImpactOutcome:
     """A finished impact: its domains, LAMMPS still running; the bond of its particle, or None; its record for summary.json."""
 
     domains: Domains
-    hold: Hold | None
+    hold: ParticleBonds | None
     record: ImpactRecord
 
 

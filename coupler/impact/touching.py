@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..contact.hold import CONTACT_RANGE
+from ..contact.particle_bonds import CONTACT_RANGE
 from ..geometry.triangles import vertex_areas
 from ..physics.constitutive import yield_stresses
 from .domains import Domains

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..contact.hold import FEWEST, Hold
+from ..contact.particle_bonds import FEWEST, ParticleBonds
 from ..files.summary import Values
 from ..measures import BY_BONDS, BY_FORMULA, BY_MOTION, BY_SCENE, REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import Adhesion
@@ -41,7 +41,7 @@ class Verdict:
     is_close: bool = False
 
 
-def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None) -> Verdict:
+def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: ParticleBonds | None) -> Verdict:
     """The verdict on a particle at the end of its impact.
 
     mass kg; upwards m/s: velocity of its centre normal to the surface; hold: its bonds, None if nothing bonded.
@@ -80,21 +80,21 @@ def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
     return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
-def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
+def _by_bonds(mass: float, upwards: float, hold: ParticleBonds | None) -> Verdict:
     """Verdict by the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
-    whole = 0 if hold is None else int(np.count_nonzero(hold.whole))
+    whole = 0 if hold is None else int(np.count_nonzero(~hold.bond.broken))
     if hold is None or whole == 0:
         return _unheld("no bond formed" if hold is None else "all bonds are torn", BY_BONDS, mass, upwards)
     motion = 0.5 * mass * max(upwards, 0.0) ** 2
     if upwards > REBOUND and hold.gives_way(motion):
-        left = f"the {whole} of {len(hold.rows)} bonds that hold can take up {hold.bond.resistance.sum() / motion:.0%} of its energy"
+        left = f"the {whole} of {len(hold.bond)} bonds that hold can take up {hold.bond.resistance.sum() / motion:.0%} of its energy"
         return _unheld(left, BY_BONDS, mass, upwards)
     if whole < FEWEST:
-        few = f"only {whole} of {len(hold.rows)} bonds {'hold' if whole > 1 else 'holds'}"
+        few = f"only {whole} of {len(hold.bond)} bonds {'hold' if whole > 1 else 'holds'}"
         return Verdict(UNDECIDED, few, BY_BONDS)
     resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
     if math.isinf(resistance):
-        return Verdict(STICKS, f"{whole} of {len(hold.rows)} bonds hold, which do not break", BY_BONDS, rebounded=False)
+        return Verdict(STICKS, f"{whole} of {len(hold.bond)} bonds hold, which do not break", BY_BONDS, rebounded=False)
     words = f"bonds can absorb {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to break them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
@@ -125,7 +125,7 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 
 def verdict_values(
-    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None, is_lost: bool = False
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: ParticleBonds | None, is_lost: bool = False
 ) -> Values:
     """The part of the record of a finished impact that is its verdict.
 

@@ -25,7 +25,7 @@ REFERENCE, EXPONENT = (
     -0.18,
 )  # m: diameter of the formula's particles; power of the critical velocity in the diameter
 # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
-HELD_STIFFNESS = 1.0
+PARTICLE_BOND_STIFFNESS = 1.0
 
 
 def critical_velocity(material: Material, temperature: float, diameter: float = REFERENCE) -> float:
@@ -38,20 +38,16 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
     k1 = 0.64 (D / 10 um)^-0.18 is that of Schmidt's formula at 25 um. sigma_TS is that of the bulk metal. Raises ColdsprayError where
     the material has none.
     """
-    T, T_m = temperature, material.T_m
-    softening = max(1.0 - (T - ROOM) / (T_m - ROOM), 0.0)
-    mechanical = MECHANICAL * 4.0 * _tensile_strength(material) * softening / material.rho
-    thermal = THERMAL * material.cp_at(T) * max(T_m - T, 0.0)
-    return math.sqrt(mechanical + thermal) * (diameter / REFERENCE) ** EXPONENT
-
-
-def _tensile_strength(material: Material) -> float:
     if material.sigma_TS is None:
         raise ColdsprayError(
             f"{material.name} has no sigma_TS (tensile strength), which its critical velocity needs: "
             f'give it under [materials.{material.name}], as in sigma_TS = "400 MPa"'
         )
-    return material.sigma_TS
+    T, T_m = temperature, material.T_m
+    softening = max(1.0 - (T - ROOM) / (T_m - ROOM), 0.0)
+    mechanical = MECHANICAL * 4.0 * material.sigma_TS * softening / material.rho
+    thermal = THERMAL * material.cp_at(T) * max(T_m - T, 0.0)
+    return math.sqrt(mechanical + thermal) * (diameter / REFERENCE) ** EXPONENT
 
 
 @dataclass(frozen=True)
@@ -278,30 +274,20 @@ class Adhesion:
         return self
 
     def bonded(
-        self,
-        nodes: int,
-        plastic_strain: np.ndarray | None = None,
-        pressure: np.ndarray | None = None,
+        self, nodes: int, plastic_strain: np.ndarray | None = None, pressure: np.ndarray | None = None,
         velocity_ratio: float | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """Mask of the interface's nodes that are bonded, by the criterion.
 
-        plastic_strain, pressure (nodes,): at the interface, the larger of both sides or of the history of contact as the
-        caller sees fit; velocity_ratio: of the impact to the critical velocity. Raises ValueError where the value of the
-        criterion is missing.
+        plastic_strain, pressure (nodes,): at the interface, the larger of both sides or of the history of contact as the caller sees
+        fit; velocity_ratio: of the impact to the critical velocity. Raises ValueError where the value of the criterion is missing.
         """
-        if self.kind == "none":
-            return np.zeros(nodes, bool)
-        if self.criterion == "all":
-            return np.ones(nodes, bool)
-        values: dict[str, np.ndarray | float | None] = {
-            "plastic_strain": plastic_strain, "pressure": pressure, "velocity": velocity_ratio
-        }  # fmt: skip
-        value = values[self.criterion]
+        if self.kind == "none" or self.criterion == "all":
+            return np.full(nodes, self.kind != "none")
+        value = {"plastic_strain": plastic_strain, "pressure": pressure, "velocity": velocity_ratio}[self.criterion]
         if value is None:
             raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value at each node, got None")
-        threshold = self.limit
-        return np.broadcast_to(np.asarray(value) >= threshold, (nodes,)).copy()
+        return np.broadcast_to(np.asarray(value) >= self.limit, (nodes,)).copy()
 
     @property
     def limit(self) -> float:

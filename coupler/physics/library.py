@@ -23,15 +23,9 @@ def load(package: str, file: str, read: Callable[[str, Mapping[str, object]], R]
 
 
 def read_record(
-    kind: type[R],
-    name: str,
-    table: Mapping[str, object],
-    read: Callable[[str, object], object],
-    values: Mapping[str, object],
-    hint: str = "",
-    found: Collection[str] = (),
-    lacks: Collection[str] = (),
-) -> R:
+    kind: type[R], name: str, table: Mapping[str, object], read: Callable[[str, object], object], values: Mapping[str, object],
+    hint: str = "", found: Collection[str] = (), lacks: Collection[str] = (),
+) -> R:  # fmt: skip
     """A record, a dataclass with a name, from a table of its other fields.
 
     read(field, value): reads a value, raises ValueError with what is wrong; values: for fields that the table lacks; hint: what to

@@ -117,16 +117,8 @@ def damp(
 
 @njit(cache=True, nogil=True)
 def moving(
-    team: Ints,
-    free: Bools,
-    mass: Floats,
-    f: Floats,
-    along: Floats,
-    momentum: Floats,
-    v: Floats,
-    before: Floats,
-    sums: Floats,
-) -> None:
+    team: Ints, free: Bools, mass: Floats, f: Floats, along: Floats, momentum: Floats, v: Floats, before: Floats, sums: Floats
+) -> None:  # fmt: skip
     """Sums over the free rows, part by part, into sums (PARTS,3): of momentum . v (J), of -v . (f - before) (W), and of
     f . M^-1 f (N m/s2), of which `along` m/s2 is the part beside that of the nodes' own masses. f becomes `before`."""
     for lo, hi, part in ranges(team, 0, len(free), LEAST):

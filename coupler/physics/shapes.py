@@ -1,8 +1,7 @@
 """The particle shapes a scene can ask for: their dimensions at equal volume, and how they lie.
 
 The sizes follow from one number, the diameter of the sphere of equal volume, and the aspect ratios of the paper
-(doi:10.1016/j.jestch.2023.101579, 8181 um3 each). The paper draws its shapes without defining them; what stands for
-each word here:
+(doi:10.1016/j.jestch.2023.101579, 8181 um3 each). The paper draws its shapes without defining them; what stands for each word here:
 
 - sphere.
 - hollow_sphere: a shell whose inner diameter is half the outer one (the paper gives no wall); its metal has the volume.
@@ -39,9 +38,8 @@ def sphere_volume(diameter: float) -> float:
 
 @dataclass(frozen=True)
 class Form:
-    """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or
-    wall, m; corners: of the polyhedron or of the hull of a
-    file's surface, m, else empty."""
+    """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or wall, m; corners:
+    of the polyhedron or of the hull of a file's surface, m, else empty."""
 
     name: str
     lengths: tuple[float, float, float]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from ..physics import materials
-from ..physics.adhesion import HELD_STIFFNESS, Adhesion, critical_velocity, oxide_film, stored_at_strength
+from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, Adhesion, critical_velocity, oxide_film, stored_at_strength
 from ..physics.materials import Material
 from ..scene.messages import shown, text_of
 from ..scene.model import SceneData
@@ -245,7 +245,7 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:
         return
-    stiffness = HELD_STIFFNESS * min(metal.K for metal in metals) / d.spacing
+    stiffness = PARTICLE_BOND_STIFFNESS * min(metal.K for metal in metals) / d.spacing
     directions = {"": (law.strength, law.energy), "shear_": (law.shear_strength, law.shear_energy)}
     for prefix, (strength, energy) in directions.items():
         strength, energy = strength or law.strength, law.energy if energy is None else energy

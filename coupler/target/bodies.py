@@ -9,9 +9,9 @@ import numpy as np
 from ..contact import broad
 from ..contact.bodies import BodyContact, BodyContactState, ContactPast
 from ..contact.bond import Bond, penalty
-from ..contact.hold import BondedPlaces
 from ..contact.model import new_history
 from ..contact.overlap import lying_inside
+from ..contact.particle_bonds import BondedPoints
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
 from ..core.arrays import SpringTable, occurring
 from ..core.records import Shape, check_indices
@@ -21,10 +21,10 @@ from ..fe.mesh import TetMesh
 from ..geometry.graph import connected_parts
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
-from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
+from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, new_numbers, select
 from .placing import NEAR, placed_on
 
-# Spacings. A bonded node that lies deeper than the first in its partner is looked at. Deeper than the second the contact presses with
+# Spacings. A bonded node that lies deeper than the first in its partner is checked. Deeper than the second the contact presses with
 # 0.06 K, about the theoretical strength G / 2 pi: no bond beside the node bears that. Deeper than the third it came through no fold.
 FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
@@ -67,17 +67,9 @@ class Bodies:
     def contact(self) -> BodyContact | None:
         """The contact between the bodies; it is set up when it is first asked for."""
         if self._contact is None and self._past is not None and self.placed is not None:
-            self._contact = self._new_contact(self.placed)
-            self._contact.go_on(self._past)
+            self._contact = BodyContact(self.surfaces, self.placed, self.target.laws["K"].tolist(), self.friction)
+            self._contact.continue_from(self._past)
         return self._contact
-
-    @contact.setter
-    def contact(self, contact: BodyContact | None) -> None:
-        self._contact, self._past = contact, None
-
-    def _new_contact(self, placed: np.ndarray) -> BodyContact:
-        """Contact between the bodies that is set up at positions placed (n,3), m."""
-        return BodyContact(self.surfaces, placed, [float(K) for K in self.target.laws["K"]], self.friction)
 
     def past(self) -> ContactPast | None:
         """Data from which the contact of another set of bodies continues."""
@@ -148,7 +140,7 @@ class Bodies:
         """Energy that contact and bonds between bodies store and have dissipated, J."""
         c, b = self.contact, self.bond
         energy = c.energy + c.lost if c is not None else 0.0
-        return energy + (b.stored + b.dissipated if b is not None else 0.0)
+        return energy + (b.work if b is not None else 0.0)
 
     def state(self) -> BodiesState:
         """State from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
@@ -172,8 +164,9 @@ class Bodies:
             target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed, impact=state.impact
         )  # fmt: skip
         if state.placed is not None and state.contact is not None:
-            bodies.contact = bodies._new_contact(state.placed)
-            bodies.contact.restore(state.contact)
+            bodies._past = ContactPast(new_history(len(state.placed)))
+            if (contact := bodies.contact) is not None:
+                contact.restore(state.contact)
         if state.bond is not None:
             bodies.bond = state.bond.state()
         return bodies
@@ -185,9 +178,9 @@ class Bodies:
 
         Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
         by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
-        Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can hold
+        Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can keep
         the body on it, with more than the theoretical strength of the metal: they begin anew, without a force. A bond of a small area,
-        as of a node between crushed facets, can be too soft to hold its node out: it becomes so stiff that what presses the node now
+        as of a node between crushed facets, can be too soft for its node: it becomes so stiff that what presses the node now
         presses it FOLDED spacings deep, or as stiff as bonds usually are.
         """
         if self.contact is None:
@@ -209,13 +202,13 @@ class Bodies:
             # of a loose bond the contact resists compression
             rows = np.flatnonzero((triangle_of == body) & ~bond.loose)
             rows = rows[np.isin(bond.nodes[rows], folded)]
-            place = np.searchsorted(nodes, bond.nodes[rows])
+            row = np.searchsorted(nodes, bond.nodes[rows])
             squeezed = bond.compression(x, rows)
-            outside = squeezed < 0.5 * deep[place]
-            bond.move(x, rows[outside], surfaces.facets[facets[place[outside]]])
-            soft = ~outside & (deep[place] > PRESSED * spacing) & (bond.damage[rows] == 0.0)
+            outside = squeezed < 0.5 * deep[row]
+            bond.move(x, rows[outside], surfaces.facets[facets[row[outside]]])
+            soft = ~outside & (deep[row] > PRESSED * spacing) & (bond.damage[rows] == 0.0)
             bond.stiffen(x, rows[soft], squeezed[soft] / (FOLDED * spacing))
-        self.contact.meet(depth)
+        self.contact.ignore_depth(depth)
 
     def reduce_overlap(self, share: float) -> None:
         """Reduce the depths that contacts ignore, and the rest depths of bonds that `separate` has moved, to this share of them."""
@@ -224,21 +217,15 @@ class Bodies:
                 each.reduce_overlap(share)
 
     def joined(
-        self,
-        splats: list[BodyState],
-        adhesion: Adhesion,
-        size: float,
-        origin: Point,
-        ratio: float | None,
-        impact: int,
-        bonded: BondedPlaces | None = None,
-    ) -> "Bodies":
+        self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: Point, ratio: float | None, impact: int,
+        bonded: BondedPoints | None = None,
+    ) -> "Bodies":  # fmt: skip
         """These bodies and the finished splats of an impact, bonded where `adhesion` says, numbered outwards from origin (m). size: of
         elements, m; ratio: velocity of the impact over the critical one; bonded: where the impact has left it bonded, with the laws
         and damage there, where bonds act in the impact (`Adhesion.in_impact`).
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
-        equilibrium: see `equilibrium.settle`. Raises SolverError when a splat cannot be put in place.
+        equilibrium: see `equilibrium.settle`. Raises SolverError when a splat cannot be fitted.
         """
         self.release_heat()
         fitted = [placed_on(splat, self.target, self.body, size) for splat in splats]
@@ -262,14 +249,14 @@ class Bodies:
                 if chosen.any():
                     bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
             elif bonded is not None:
-                place, chosen = bonded.near(x[contact_pairs.nodes], size)
+                row, chosen = bonded.near(x[contact_pairs.nodes], size)
                 chosen &= contact_pairs.area > 0.0
                 if chosen.any():
-                    bonds.append(_taken_over(bonded, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
+                    bonds.append(_taken_over(bonded, row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         past = self.past()
-        new.touch(past and past.on(rank[: len(self.target.nodes.x)], len(new.target.nodes.x)))
+        new.touch(past and past.renumbered(rank[: len(self.target.nodes.x)], len(new.target.nodes.x)))
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
@@ -277,9 +264,9 @@ class Bodies:
         near the points is active."""
         self.release_heat()
         domain, rank = merge([domain_now(self.target, self.body)], *origins, shell=shell)
-        return self.on(domain, rank, self.buried)
+        return self.with_domain(domain, rank, self.buried)
 
-    def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
+    def with_domain(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
         """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 of a removed node;
         buried: facets of the new domain that nothing can reach. The bond of these bodies is renumbered."""
         new = self.remade(domain)
@@ -287,7 +274,7 @@ class Bodies:
             self.bond.renumber(rank)
         new.bond, new.buried = self.bond, buried
         if (past := self.past()) is not None:
-            new.touch(past.on(rank, len(new.target.nodes.x)))
+            new.touch(past.renumbered(rank, len(new.target.nodes.x)))
         return new
 
     def attached(self) -> np.ndarray:
@@ -311,11 +298,12 @@ class Bodies:
         self.release_heat()
         reach = NEAR * size
         is_near, loose = self._around(np.flatnonzero(gone), reach)
-        domain, node, facet = only(domain_now(self.target, self.body), ~gone)
+        part, mesh = select(domain_now(self.target, self.body), ~gone[self.body]), self.target.mesh
+        node, facet = new_numbers(part.nodes, len(mesh.points)), new_numbers(part.facets, len(mesh.facets))
         if self.bond is not None:
             self.bond.drop((node[self.bond.nodes] < 0) | (node[self.bond.triangles[:, 0]] < 0))
         buried = facet[self.buried]
-        new = self.on(domain, node, buried[buried >= 0])
+        new = self.with_domain(part.domain, node, buried[buried >= 0])
         new.impact = self.impact[~gone]
         surfaces, x = new.surfaces, new.target.nodes.x
         covered = [
@@ -343,7 +331,7 @@ class Bodies:
             domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
         )  # fmt: skip
-        target.take(domain.nodes, domain.elements, self.target)
+        target.start_from(domain.nodes, domain.elements, self.target)
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
     def touch(self, past: ContactPast | None = None) -> None:
@@ -376,21 +364,19 @@ def _bonded(
     contact_pairs: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
 ) -> np.ndarray:
     """Which nodes of an interface the scene's criterion bonds; of both sides the larger strain and pressure counts."""
-    n = len(contact_pairs.nodes)
-    if adhesion.kind == "none" or n == 0:
-        return np.zeros(n, bool)
     strain = np.maximum(*contact_pairs.behind(surfaces, target.elements.eps_p))
     pressure = np.maximum(*contact_pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
-    return adhesion.bonded(n, strain, pressure, ratio)
+    return adhesion.bonded(len(contact_pairs.nodes), strain, pressure, ratio)
 
 
 def _taken_over(
-    bonded: BondedPlaces, place: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
+    bonded: BondedPoints, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
-    """Bonds of an interface (n rows) with the laws and the damage of the places (n,)."""
-    strength, energy = bonded.strength[place], bonded.energy[place]
-    bond = Bond.between(where, surfaces, x, stiffness, strength[:, 0], energy[:, 0], strength[:, 1], energy[:, 1])
-    bond.damage[:] = bonded.damage[place]
+    """Bonds of an interface (n rows) with the laws and the damage of the bonded points `row` (n,)."""
+    (strength, shear_strength), (energy, shear_energy) = bonded.strength[row].T, bonded.energy[row].T
+    law = {"strength": strength, "energy": energy, "shear_strength": shear_strength, "shear_energy": shear_energy}
+    bond = Bond.between(where, surfaces, x, stiffness, **law)
+    bond.damage[:] = bonded.damage[row]
     return bond
 
 

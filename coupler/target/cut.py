@@ -1,13 +1,13 @@
-"""An impact on its own cut of the target: the part of all bodies about its place, taken out and put back.
+"""An impact on its own cut of the target: the part of all bodies about its point of impact, as bodies of their own, and put back.
 
-A cut holds the elements that have a node within a radius of the place of landing, whole splats, and a rim round them. The window of
-the impact (`fe.window`) has the same radius: its edge is held and the rim keeps still, so that inside the cut the impact is that on all
+A cut has the elements with a node within a radius of the point of impact, whole splats, and a rim round them. The window of the
+impact (`fe.window`) has the same radius: its edge is fixed and the rim does not move, so that inside the cut the impact is that on all
 bodies, number by number. Nothing outside the radius changes; cuts whose spheres lie apart by more than an element are independent.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,43 +15,41 @@ from ..contact.bodies import ContactPast
 from ..contact.bond import Bond
 from ..contact.model import new_history
 from ..core.arrays import occurring
-from ..core.records import arrays_of, concatenate, take
+from ..core.records import arrays_of, collect, concatenate, take
+from ..fe.state import Balance
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
 from .bodies import Bodies
 from .domain import SPLAT, Point, Selection, domain_now, merge, select
 
 ROUNDS = 20  # at most, to make the surface of a cut sound
-Ledgers = dict[str, Any]
 R = TypeVar("R")
-# ledgers of contact and bonds
-_OF_CONTACT = ("lost", "friction_heat", "dropped_energy", "dropped")
-_OF_BOND = ("stored", "dissipated")
 
 
 @dataclass(frozen=True)
 class Cut:
     """Record of a sub-domain. part: its domain and indices; nodes, elements: indices in the full domain that its impact can change;
-    before: the ledgers of target, contact and bonds when it was made."""
+    balance, sums: those of the target and of contact and bonds (`_sums`) when it was made."""
 
     part: Selection
     nodes: np.ndarray
     elements: np.ndarray
-    before: Ledgers
+    balance: Balance
+    sums: np.ndarray
 
 
-def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
-    """The sub-domain within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The full domain does not
+def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
+    """The sub-domain within `radius` m of origin (m), with its rim, as bodies numbered outwards from there. The full domain does not
     change, except that its elements get the pending heat of friction."""
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.nodes.x
-    distance = np.linalg.norm(x - np.asarray(place), axis=1)
+    distance = np.linalg.norm(x - np.asarray(origin), axis=1)
     reach = least_at_corners(distance, conn)
     inside = reach < radius
     touched = np.zeros(len(x), bool)
     touched[conn[inside]] = True
-    # the rim holds all others of a bond or a contact that has a node inside, and all elements round the nodes as near as any that moves
+    # the rim has all other nodes of a bond or a contact with a node inside, and all elements round the nodes as near as any that moves
     facets = x[t.mesh.facets[touched[t.mesh.facets].any(axis=1)]]
     longest = float(np.linalg.norm(facets - np.roll(facets, 1, axis=1), axis=2).max(initial=0.0))
     rim = max(1.5 * longest, float(distance[touched].max(initial=0.0)) - radius)
@@ -64,20 +62,22 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     selected = select(domain_now(t, whole.body), chosen)
     selected.domain.nodes.node_number[:] = selected.nodes
     selected.domain.elements.element_number[:] = selected.elements
-    numbered, rank = merge([selected.domain], place)
+    numbered, rank = merge([selected.domain], origin)
     part = whole.remade(numbered)
     part.impact = whole.impact[selected.bodies]
     part.buried = np.flatnonzero(np.isin(selected.facets, whole.buried))
     number = np.full(len(x), -1)
     number[selected.nodes] = rank
     if (past := whole.past()) is not None and part.count > 1:
-        part.touch(past.on(number, len(part.target.nodes.x)))
+        part.touch(past.renumbered(number, len(part.target.nodes.x)))
     if whole.bond is not None:
         part.bond = take(whole.bond, (number[whole.bond.nodes] >= 0) & (number[whole.bond.triangles] >= 0).all(axis=1))
         part.bond.stored = float(part.bond.stored_by_each.sum())
         part.bond.renumber(number)
     elements = np.flatnonzero(inside)
-    return part, Cut(selected, occurring(conn[elements], len(x)), elements, _ledgers(part))
+    return part, Cut(
+        selected, occurring(conn[elements], len(x)), elements, collect(Balance, part.target.balance), _sums(part)
+    )
 
 
 def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     after existing bodies, in the order of parts; existing numbers do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
-    places: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
+    numbers: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
     for cut, part in parts:
         part.release_heat()
         now = domain_now(part.target, part.body)
@@ -115,57 +115,48 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
             node[splats.nodes] = n + np.arange(len(splats.nodes))
             facet[splats.facets] = facets + np.arange(len(splats.facets))
             count, n, facets = count + part.count - first, n + len(splats.nodes), facets + len(splats.facets)
-        places.append((node, facet))
+        numbers.append((node, facet))
     domain = merge(domains)[0]
-    for (cut, part), (node, _) in zip(parts, places, strict=True):
+    for (cut, part), (node, _) in zip(parts, numbers, strict=True):
         _replace(domain.nodes, part.target.nodes, cut.nodes, node)
         _replace(domain.elements, part.target.elements, cut.elements, part.target.elements.element_number)
     new = whole.remade(domain)
     new.impact = np.concatenate([whole.impact, *(part.impact[len(cut.part.bodies) :] for cut, part in parts)])
-    buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, places, strict=True)])
+    buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, numbers, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
-    gain = _gain(parts)
-    t = new.target
-    t.sums, t.impulse = t.sums + gain["sums"], t.impulse + gain["impulse"]
-    t.internal_work, t.absorbed, t.time = (
-        t.internal_work + gain["internal_work"],
-        t.absorbed + gain["absorbed"],
-        t.time + gain["time"],
-    )
-    own = []  # masks of each part's nodes: those that its impact can change
-    for (cut, _), (node, _) in zip(parts, places, strict=True):
+    new.target.balance += sum((part.target.balance - cut.balance for cut, part in parts), Balance())
+    gain = np.sum([_sums(part) - cut.sums for cut, part in parts], axis=0)
+    changed_parts = []  # with masks of each part's nodes: those that its impact can change
+    for (cut, part), (node, _) in zip(parts, numbers, strict=True):
         changed = np.zeros(len(new.target.nodes.x), bool)
         changed[cut.nodes] = changed[len(whole.target.nodes.x) :] = True
-        own.append(changed[node])
-    new.bond = _bonds(
-        whole, [(*part, node, mine) for part, (node, _), mine in zip(parts, places, own, strict=True)], gain
-    )
+        changed_parts.append((cut, part, node, changed[node]))
+    new.bond = _bonds(whole, changed_parts, *gain[4:])
     if new.count > 1:
         past = ContactPast(new_history(len(new.target.nodes.x)))
         if (before := whole.past()) is not None:
-            past = before.on(np.arange(len(whole.target.nodes.x)), len(new.target.nodes.x))
-        for (_, part), (node, _), mine in zip(parts, places, own, strict=True):
+            past = before.renumbered(np.arange(len(whole.target.nodes.x)), len(new.target.nodes.x))
+        for _, part, node, mine in changed_parts:
             if (of_part := part.past()) is not None:
                 past.nodes[node[mine]] = of_part.nodes[mine]
-        new.touch(
-            past._replace(**{name: value + gain[name] for name, value in past._asdict().items() if name in _OF_CONTACT})
-        )
+        lost, friction_heat, dropped_energy, dropped = (np.array(past[1:]) + gain[:4]).tolist()
+        new.touch(ContactPast(past.nodes, lost, friction_heat, dropped_energy, int(dropped)))
     return new
 
 
-def _gain(parts: Sequence[tuple[Cut, Bodies]]) -> Ledgers:
-    """Sum of the amounts added to the ledgers of all parts since they were cut out."""
-    gain: Ledgers = {}
-    for cut, part in parts:
-        for name, value in _ledgers(part).items():
-            gain[name] = gain.get(name, 0) + (value - cut.before[name])
-    return gain
+def _sums(bodies: Bodies) -> np.ndarray:
+    """Sums of contact and bonds so far (6,): see `ContactPast`, then energies stored and dissipated by bonds, J."""
+    past, bond = bodies.past(), bodies.bond
+    contact = [0.0] * 4 if past is None else [past.lost, past.friction_heat, past.dropped_energy, past.dropped]
+    return np.array([*contact, *((0.0, 0.0) if bond is None else (bond.stored, bond.dissipated))], float)
 
 
-def _bonds(whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], gain: Ledgers) -> Bond | None:
+def _bonds(
+    whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], stored: float, dissipated: float
+) -> Bond | None:
     """Bonds of the whole that no impact can change, and those of the parts that theirs can. parts: with the number of each node (p,)
-    in the whole, and the mask of those that its impact can change."""
-    bonds, stored, dissipated = list[Bond](), gain["stored"], gain["dissipated"]
+    in the whole, and the mask of those that its impact can change. stored, dissipated: J, in the parts' impacts."""
+    bonds = list[Bond]()
     if (bond := whole.bond) is not None:
         stored, dissipated = stored + bond.stored, dissipated + bond.dissipated
         bonds.append(bond)
@@ -197,11 +188,3 @@ def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
     values = arrays_of(part)
     for name, array in arrays_of(record).items():
         array[ids] = np.take(values[name], rows, axis=0)
-
-
-def _ledgers(bodies: Bodies) -> Ledgers:
-    t, c, b = bodies.target, bodies.past(), bodies.bond
-    sums: Ledgers = {"sums": t.sums.copy(), "impulse": t.impulse.copy()}
-    sums |= {"internal_work": t.internal_work, "absorbed": t.absorbed, "time": t.time}
-    sums |= {name: c._asdict()[name] if c is not None else 0 for name in _OF_CONTACT}
-    return sums | {name: vars(b)[name] if b is not None else 0.0 for name in _OF_BOND}

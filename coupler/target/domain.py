@@ -1,8 +1,8 @@
-"""A body joins the target: its mesh in the place where it lies, its state, and one numbering for all.
+"""A body joins the target: its mesh in its deformed position, its state, and one numbering for all.
 
-The body is meshed in its deformed place. Its reference volumes are V / J, so that the volume ratio, and with it the pressure, that it
-came with is there from the first step; the reference shape of each tetrahedron is its present one, shrunk by J^(1/3). What the volume
-of the mesh lacks or has too much (under a percent) its density makes up for, so that the mass is exact and no pressure arises.
+The body is meshed in its deformed position. Its reference volumes are V / J, so that the volume ratio, and with it the pressure, is
+there from the first step; the reference shape of each tetrahedron is its present one, shrunk by J^(1/3). What the volume of the mesh
+lacks or has too much (under a percent) its density makes up for, so that the mass is exact and no pressure arises.
 """
 
 from collections.abc import Sequence
@@ -100,47 +100,29 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
         by_node = np.lexsort([morton(x), distance])
     else:
         by_node = np.argsort(distance, kind="stable")
-    rank = _new_numbers(by_node, len(x))
+    rank = new_numbers(by_node, len(x))
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
     reach = least_at_corners(distance[by_node], conn)
     by_element = np.argsort(least_at_corners(np.arange(len(x)), conn) if shell > 0.0 else reach, kind="stable")
-    element_rank = _new_numbers(by_element, len(conn))
+    element_rank = new_numbers(by_element, len(conn))
     facet_nodes = np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)])
     behind = np.concatenate([element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)])
 
     mesh = TetMesh(
-        points=put([d.mesh.points for d in domains], by_node),
-        conn=np.ascontiguousarray(conn[by_element], np.int32),
-        B=put([d.mesh.B for d in domains], by_element),
-        V0=put([d.mesh.V0 for d in domains], by_element),
-        node_volume=put([d.mesh.node_volume for d in domains], by_node),
-        facets=facet_nodes.astype(np.int32),
+        points=put([d.mesh.points for d in domains], by_node), conn=np.ascontiguousarray(conn[by_element], np.int32),
+        B=put([d.mesh.B for d in domains], by_element), V0=put([d.mesh.V0 for d in domains], by_element),
+        node_volume=put([d.mesh.node_volume for d in domains], by_node), facets=facet_nodes.astype(np.int32),
         facet_element=behind.astype(np.int32),
         sets={name: ids + at for d, at in zip(domains, facets, strict=False) for name, ids in d.mesh.sets.items()},
-        reach_node=distance[by_node],
-        reach_element=reach[by_element],
-        axis=domains[0].mesh.axis,
-    )
+        reach_node=distance[by_node], reach_element=reach[by_element], axis=domains[0].mesh.axis,
+    )  # fmt: skip
     node_state = take(concatenate([d.nodes for d in domains]), by_node)
     element_state = take(concatenate([d.elements for d in domains]), by_element)
     body = put([d.body + at for d, at in zip(domains, bodies, strict=False)], by_element).astype(np.int32)
     return Domain(mesh, node_state, element_state, body, np.concatenate([d.laws for d in domains])), rank
 
 
-def only(domain: Domain, kept: np.ndarray) -> tuple[Domain, np.ndarray, np.ndarray]:
-    """A domain of the bodies of a mask (bodies,), which must include the substrate, in their order.
-
-    Returns it, and the new number of each node (n,) and facet (f,) of the original domain, -1 if it is removed.
-    """
-    part = select(domain, kept[domain.body])
-    return (
-        part.domain,
-        _new_numbers(part.nodes, len(domain.mesh.points)),
-        _new_numbers(part.facets, len(domain.mesh.facets)),
-    )
-
-
-def _new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
+def new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
     """New number (n,) of each of n rows if only the rows `kept` stay, -1 of removed rows."""
     number = np.full(n, -1)
     number[kept] = np.arange(len(kept))
@@ -175,8 +157,8 @@ def select(domain: Domain, chosen: np.ndarray) -> Selection:
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
     nodes, bodies = occurring(mesh.conn[elements], len(mesh.points)), occurring(body[elements], len(domain.laws))
 
-    node, element = _new_numbers(nodes, len(mesh.points)), _new_numbers(elements, len(mesh.conn))
-    facet, of_body = _new_numbers(facets, len(mesh.facets)), _new_numbers(bodies, len(domain.laws))
+    node, element = new_numbers(nodes, len(mesh.points)), new_numbers(elements, len(mesh.conn))
+    facet, of_body = new_numbers(facets, len(mesh.facets)), new_numbers(bodies, len(domain.laws))
     names = {f"{SPLAT}{b}": of_body[b] for b in range(1, len(domain.laws))}
     kept = {name: facet[ids][facet[ids] >= 0] for name, ids in mesh.sets.items()}
     conn = node[mesh.conn[elements]]

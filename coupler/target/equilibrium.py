@@ -74,11 +74,10 @@ def settle(
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impacts before, the scale of the remaining energy; release_time: s of real motion, in which the energy released
-    afterwards is measured; ramp: the target's pending heat becomes pressure gradually, as in slow cooling. radius: m from the start
-    of the numbering, beyond which no node moves, unless this holds more than LOCAL of the elements; pending heat becomes pressure
-    there too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m
-    they are moved in this time.
-    This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
+    afterwards is measured; ramp: the target's pending heat becomes pressure gradually, as in slow cooling. radius: m from the start of
+    the numbering, beyond which no node moves, unless this holds more than LOCAL of the elements; pending heat becomes pressure there
+    too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m they are
+    moved in this time. This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
@@ -99,7 +98,7 @@ def settle(
 def _stored(bodies: Bodies) -> float:
     """Energy (J) without the kinetic energy: its loss is the energy that damping has taken."""
     t = bodies.target
-    return t.elastic() + float(t.sums[0]) + bodies.energy
+    return t.elastic() + t.balance.plastic + bodies.energy
 
 
 def _relax(

@@ -298,16 +298,16 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
     assert looked[-1] == every
 
 
-def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:
+def test_a_search_that_is_still_valid_gives_the_forces_of_a_fresh_one() -> None:
     """Pressed and slid in small steps: the search is kept through some of them, done again after others, and misses nothing."""
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((0.7, 0.7, 0.5), 0.3, (0.15, 0.15, 1.0)))
     kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.nodes.x.copy()
     up, still, done = b.nodes(1), np.zeros_like(x), []
     for step in range(24):
         x[up] += [0.018, 0.004, -0.0005]
-        before = kept.pairs._searches[1].points
+        before = kept.pairs._searches[1].point_x
         kept.search(x, 0.01)
-        done.append(kept.pairs._searches[1].points is not before)
+        done.append(kept.pairs._searches[1].point_x is not before)
         fresh.pairs.expire(np.ones(len(fresh.pairs.history), bool))
         fresh.search(x, 0.01)
         f, g = np.zeros_like(x), np.zeros_like(x)
@@ -358,7 +358,7 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
             gap[b.body_of_node != body] = 1.0
             node[int(gap.argmin())] = new
     later = more.touch(friction=0.3)
-    later.go_on(contact.past().on(node, len(more.target.nodes.x)))
+    later.continue_from(contact.past().renumbered(node, len(more.target.nodes.x)))
     x, v = more.target.nodes.x.copy(), np.zeros_like(more.target.nodes.x)
     x[node], v[node] = t.nodes.x, t.nodes.v
     f, g = np.zeros_like(t.nodes.x), np.zeros_like(x)
@@ -422,7 +422,7 @@ def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
         return float(f[above, 2].sum())
 
     assert lift() == 0.0
-    contact.meet(overlaps(b.surfaces, t.nodes.x, [1]))
+    contact.ignore_depth(overlaps(b.surfaces, t.nodes.x, [1]))
     begins = lift()
     lifts = []
     for step in range(10):
@@ -431,7 +431,7 @@ def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
     stiffness = float(contact.pairs.points.stiffness[contact.pairs.depth > 0.0].sum())
     np.testing.assert_allclose(lifts, 0.1 * depth * stiffness * np.arange(1, 11), rtol=1e-6)
     assert abs(begins) < 1e-12 * lifts[-1]
-    contact.meet(overlaps(b.surfaces, t.nodes.x, [1]))
+    contact.ignore_depth(overlaps(b.surfaces, t.nodes.x, [1]))
     assert lift() == pytest.approx(lifts[-1], rel=1e-6), "those that press go on"
 
 
@@ -477,7 +477,7 @@ def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
         t.nodes.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
         depths.append(contact.past().nodes["depth"][:, 0])
     again = b.touch()  # as after another body has joined: what bonded nodes remember of the others stays
-    again.go_on(contact.past())
+    again.continue_from(contact.past())
     again.search(t.nodes.x, 0.01, b.bond)
     np.testing.assert_array_equal(again.past().nodes["depth"][:, 0], depths[1])
     side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]

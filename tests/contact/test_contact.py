@@ -6,7 +6,7 @@ import pytest
 from coupler.contact import broad, closest
 from coupler.contact.contact import Contact
 from coupler.contact.law import TANGENTIAL, stiffness, stored
-from coupler.contact.model import ANY, FACE, Candidates, Meeting, Nodes, Points
+from coupler.contact.model import ANY, FACE, Candidates, Nodes, Points, Projections
 from coupler.errors import SolverError
 from coupler.fe.mesh import prepare
 from coupler.geometry import mesher
@@ -175,11 +175,11 @@ def test_what_lies_in_a_box(rng: np.random.Generator) -> None:
     nodes = np.unique(facets[ids])
     inside = nodes[((x[nodes] > least) & (x[nodes] < most)).all(axis=1)]
     assert 0 < len(inside) < len(nodes)
-    np.testing.assert_array_equal(broad.nodes_within(x, nodes, least, most), inside)
+    np.testing.assert_array_equal(broad.points_within(x, nodes, least, most), inside)
 
 
-class Look:
-    """Points against triangles of bodies, owner (k,), each point with all of them as candidates, and what it meets of these."""
+class Projector:
+    """Points against triangles of bodies, owner (k,), each point with all of them as candidates, and their projections on these."""
 
     def __init__(self, xp: np.ndarray, x: np.ndarray, facets: np.ndarray, owner: np.ndarray, partner: np.ndarray):
         n, k = len(xp), len(facets)
@@ -190,14 +190,16 @@ class Look:
         self.points = Points(xp, 0 * xp, 0 * xp, none, none - 1, partner, none + 1.0, none + 1.0, far)
         lists = np.arange(n + 1) * k, np.tile(np.arange(k), n)
         self.candidates = Candidates(*lists, none.copy(), -far, np.zeros((n, 3)))
-        self.meeting = Meeting(np.full((n, 2), ANY), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), -far)
+        self.projections = Projections(
+            np.full((n, 2), ANY), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), -far
+        )
 
-    def find(self, x: np.ndarray, shift: float, limit: float, more: float = 0.0) -> Meeting:
-        """What the points meet when the nodes are at x."""
+    def find(self, x: np.ndarray, shift: float, limit: float, more: float = 0.0) -> Projections:
+        """The projections of the points when the nodes are at x."""
         for i in range(len(self.points.x)):
-            args = self.points, self.candidates, self.faces, x, shift, limit, more, self.meeting
+            args = self.points, self.candidates, self.faces, x, shift, limit, more, self.projections
             closest.closest_faces(i, *args)
-        return self.meeting
+        return self.projections
 
 
 def distances(xp: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
@@ -215,17 +217,17 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     before, facets = sheet(rng, bumps=0.05)
     x = before + shift * np.array([0.6, 0.0, 0.8]) * rng.uniform(0.0, 1.0, (len(before), 1))
     xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
-    look = Look(xp, before, facets, np.zeros(len(facets), int), np.full(300, ANY))
-    assert np.array_equal(look.faces["low"], before[facets].min(axis=1))
-    assert np.array_equal(look.faces["high"], before[facets].max(axis=1))
-    m, away = look.find(x, shift, np.inf), distances(xp, x, facets).min(axis=1)
+    projector = Projector(xp, before, facets, np.zeros(len(facets), int), np.full(300, ANY))
+    assert np.array_equal(projector.faces["low"], before[facets].min(axis=1))
+    assert np.array_equal(projector.faces["high"], before[facets].max(axis=1))
+    m, away = projector.find(x, shift, np.inf), distances(xp, x, facets).min(axis=1)
     gap = m.gap[:, 0].copy()
     assert np.abs(gap) == pytest.approx(away, rel=1e-9)
     place = np.einsum("ij,ijd->id", m.foot[:, 0], x[facets[m.face[:, 0]]])
     assert np.linalg.norm(xp - place, axis=1) == pytest.approx(np.abs(gap), rel=1e-9)
     for _ in range(3):  # from any other guess the same
         m.face[:, 0] = rng.integers(0, len(facets), 300)
-        assert look.find(x, shift, np.inf).gap[:, 0] == pytest.approx(gap, rel=1e-9)
+        assert projector.find(x, shift, np.inf).gap[:, 0] == pytest.approx(gap, rel=1e-9)
 
 
 @pytest.mark.parametrize("way", [0.0, 0.02, 0.3])
@@ -236,13 +238,15 @@ def test_points_that_have_moved_find_what_they_find_among_all_candidates(rng: np
     x = np.concatenate([x, above + np.array([0.0, 0.0, 0.06])])
     xp, partner = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15], rng.integers(-1, 2, 300)
     moved, x_moved = xp + way * rng.uniform(-0.5, 0.5, xp.shape), x + way * rng.uniform(-0.25, 0.25, x.shape)
-    look = Look(xp.copy(), x, facets, owner, partner)
-    look.find(x, 0.0, 0.05, 0.05)
-    inner = look.candidates.inner - look.candidates.start[:-1]
+    projector = Projector(xp.copy(), x, facets, owner, partner)
+    projector.find(x, 0.0, 0.05, 0.05)
+    inner = projector.candidates.inner - projector.candidates.start[:-1]
     assert inner.mean() < 0.2 * len(facets)
-    assert np.array_equal(np.sort(look.candidates.face.reshape(300, -1)), np.tile(np.arange(len(facets)), (300, 1)))
-    look.points.x[:] = moved
-    found, fresh = look.find(x_moved, 0.5 * way, 0.05, 0.05), Look(moved, x, facets, owner, partner)
+    assert np.array_equal(
+        np.sort(projector.candidates.face.reshape(300, -1)), np.tile(np.arange(len(facets)), (300, 1))
+    )
+    projector.points.x[:] = moved
+    found, fresh = projector.find(x_moved, 0.5 * way, 0.05, 0.05), Projector(moved, x, facets, owner, partner)
     for kept, right in zip(found[:3], fresh.find(x_moved, 0.5 * way, 0.05)[:3], strict=True):
         assert np.array_equal(kept, right)
 
@@ -262,7 +266,7 @@ def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: n
     xp, limit, rows = rng.uniform(-0.1, 2.0, (400, 3)), 0.15, np.arange(400)
 
     def gaps(chosen: np.ndarray, of: np.ndarray, partner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        m = Look(xp, x, facets[chosen], of[chosen], partner).find(x, 0.0, limit)
+        m = Projector(xp, x, facets[chosen], of[chosen], partner).find(x, 0.0, limit)
         for body in (0, 1):
             met = m.face[:, body] >= 0
             there = np.einsum("ij,ijd->id", m.foot[met, body], x[facets[chosen[m.face[met, body]]]])

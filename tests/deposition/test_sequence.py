@@ -41,7 +41,7 @@ from coupler.splat.convert import convert
 from coupler.target.bodies import Bodies
 from coupler.target.domain import domain_now, domain_of, merge
 from coupler.target.equilibrium import settle
-from coupler.target.places import level_under, points_of_impact
+from coupler.target.positions import level_under, points_of_impact
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
 
@@ -61,7 +61,7 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
     np.testing.assert_allclose(domain.elements.s[:, 0], 50e6)
     # and the solver finds the same pressure after a step of no motion
     target = Target(mesh, law, domain.elements.T, fixed=(), track_wave=False)
-    target.take(domain.nodes, domain.elements, target)
+    target.start_from(domain.nodes, domain.elements, target)
     target.advance(1e-15)
     np.testing.assert_allclose(target.nodes.p, hugoniot, rtol=1e-9)
     heavier = domain_of(replace(body, mass=1.01 * body.mass), "splat1")

@@ -42,8 +42,8 @@ def test_half_space_with_a_cold_face_follows_the_error_function() -> None:
         through = 2 * K * 100.0 * sqrt(end / (pi * ALPHA)) * (4 * size) ** 2
         assert report["taken_away_J"] == pytest.approx(through, rel=0.02)
         assert report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (400.0 - t.elements.T)), rel=1e-9)
-        assert t.sums[2] == pytest.approx(-report["taken_away_J"], rel=1e-9)
-        assert t.elements.heat.sum() == pytest.approx(t.sums[2], rel=1e-9)
+        assert t.balance.heat == pytest.approx(-report["taken_away_J"], rel=1e-9)
+        assert t.elements.heat.sum() == pytest.approx(t.balance.heat, rel=1e-9)
     assert errors[1] < 0.006
     assert errors[1] < 0.8 * errors[0]
 

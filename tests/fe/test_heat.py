@@ -36,7 +36,7 @@ class Block:
         self.z = m.points[m.conn][:, :, 2].mean(axis=1)
 
     def run(self, time: float) -> None:
-        self.conduction.conduct(time, self)
+        self.conduction.conduct_for(time, self)
 
 
 def column(size: float, low: float = 0.0) -> mesh.TetMesh:
@@ -59,10 +59,10 @@ def test_operator_is_scikit_fems(rng: np.random.Generator) -> None:
     x = m.points + 0.02 * rng.standard_normal(m.points.shape)  # conduction acts in the current configuration
     block.nodes.x[:] = x
     assert kernels.volumes(0, len(m.conn), x, m.conn, block.elements.volume) > 0
-    block.conduction.T[:] = T = 300 + 100 * rng.random(len(x))
-    block.conduction._flows(block)
+    block.conduction.record.T[:] = T = 300 + 100 * rng.random(len(x))
+    block.conduction.flows(block)
     flow = np.zeros(len(x))
-    np.add.at(flow, m.conn, block.conduction.flow)
+    np.add.at(flow, m.conn, block.conduction.arrays.flow)
     basis = Basis(MeshTet(x.T, m.conn.T.astype(np.int64), sort_t=False), ElementTetP1(), intorder=1)
     reference = -K * BilinearForm(lambda u, v, w: dot(grad(u), grad(v))).assemble(basis) @ T
     assert np.abs(flow - reference).max() < 1e-12 * np.abs(reference).max()
@@ -96,7 +96,7 @@ def test_two_half_spaces_meet_at_the_temperature_of_their_effusivities() -> None
     end = 0.25**2 / alpha[0]
     block.run(end)
     between = (effusivity[0] * 600 + effusivity[1] * 300) / effusivity.sum()
-    met = block.conduction.T[np.abs(m.points[:, 2]) < 1e-9]
+    met = block.conduction.record.T[np.abs(m.points[:, 2]) < 1e-9]
     assert met == pytest.approx(between, abs=1.5)
     far = np.where(law_of == 0, 600.0, 300.0)
     exact = between + (far - between) * np.vectorize(erf)(np.abs(block.z) / (2 * np.sqrt(alpha[law_of] * end)))
@@ -111,10 +111,10 @@ def test_conductivity_that_changes_with_temperature() -> None:
     block = Block(m, law, np.full(len(m.conn), 500.0))
     block.run(1e-9)
     whole = 50 * 600 + 0.125 * 600**2
-    block.conduction.T[:] = 300 + (np.sqrt(50**2 + 0.5 * m.points[:, 2] * whole) - 50) / 0.25
-    block.conduction._flows(block)
+    block.conduction.record.T[:] = 300 + (np.sqrt(50**2 + 0.5 * m.points[:, 2] * whole) - 50) / 0.25
+    block.conduction.flows(block)
     flow = np.zeros(len(m.points))
-    np.add.at(flow, m.conn, block.conduction.flow)
+    np.add.at(flow, m.conn, block.conduction.arrays.flow)
     face = np.isclose(m.points[:, 2], 1.0)
     through = whole * 0.4**2
     assert -flow[face].sum() == pytest.approx(through, rel=2e-3)
@@ -188,8 +188,8 @@ def test_conduction_in_a_moving_target(length: float) -> None:
                 dt = t.stable_dt()[0]
             t.advance(dt)
             t.finish()
-        ledger.append((t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]) / start)
-        assert 8960 * 383 * (m.V0 @ (t.elements.T - 300)) == pytest.approx(t.sums[2], rel=1e-9)
+        ledger.append((t.kinetic() + t.elastic() + t.balance.plastic + t.balance.numerical) / start)
+        assert 8960 * 383 * (m.V0 @ (t.elements.T - 300)) == pytest.approx(t.balance.heat, rel=1e-9)
         made.append(t)
     assert ledger[0] == pytest.approx(1.0, rel=5e-3)  # five elements across, struck hard
     assert ledger[1] == pytest.approx(ledger[0], rel=1e-4)
@@ -291,8 +291,8 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     assert all(t.elements.eps_p.max() > 0.01 for t in alone)
     for what in ("kinetic", "elastic"):
         assert getattr(joined, what)() == pytest.approx(sum(getattr(t, what)() for t in alone), rel=1e-11)
-    assert joined.sums == pytest.approx(sum(t.sums for t in alone), rel=1e-11)
-    assert joined.absorbed == pytest.approx(sum(t.absorbed for t in alone), rel=1e-11)
+    for what in ("plastic", "numerical", "heat", "absorbed"):
+        assert vars(joined.balance)[what] == pytest.approx(sum(vars(t.balance)[what] for t in alone), rel=1e-11)
     assert joined.external_impulse() == pytest.approx(sum(t.external_impulse() for t in alone), rel=1e-9)
 
 

@@ -135,7 +135,7 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
         if impact.hold is not None and "sinking" not in seen:
             seen["sinking"] = np.array(impact.sinking)
         if impact.hold is not None:
-            seen["rows"], seen["strength"] = impact.hold.rows, impact.hold.bond.strength[:, 0].copy()
+            seen["rows"], seen["strength"] = impact.hold.bond.nodes, impact.hold.bond.strength[:, 0].copy()
         depth, vertices = impact.contact.depth, impact.surface.weights.shape[0]
         if impact.sinking < 200.0 and impact.force[2] > 0.2 * seen.setdefault("peak", impact.force[2].copy()):
             shares = depth[:vertices].sum(), impact.surface.at_vertices(depth).sum(), depth.sum()

@@ -154,7 +154,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     time, steps = 0.3**2 / ALPHA, 60
     for _ in range(steps):
         paths.flow(time / steps)
-        t.conduction.conduct(time / steps, t)
+        t.conduction.conduct_for(time / steps, t)
     gained = 15600.0 * CP * float(m.V0 @ (t.elements.T - 300.0))
     lost = RHO * CP * body.volume * float(np.sum(600.0 - T))
     assert gained == pytest.approx(lost, rel=1e-9)

@@ -80,8 +80,8 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
             t.advance(1e-6)
             t.finish()
         assert t.elements.eps_p.min() > 0.1
-        assert t.sums[2] == pytest.approx(0.9 * t.sums[0] if on else 0.0, rel=1e-9)
-        pressures.append((float(t.nodes.p.mean()), 0.9 * t.sums[0]))
+        assert t.balance.heat == pytest.approx(0.9 * t.balance.plastic if on else 0.0, rel=1e-9)
+        pressures.append((float(t.nodes.p.mean()), 0.9 * t.balance.plastic))
     assert pressures[0][0] == pytest.approx(metal.Gamma0 * pressures[0][1], rel=0.01)  # of a volume of 1 m3
     assert abs(pressures[1][0]) < 1e-6 * pressures[0][0]
 
@@ -207,7 +207,7 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
         t.advance(dt)
         t.finish()
     assert np.mean(t.elements.eps_p > 0.0) > 0.5
-    return vars(t.nodes) | vars(t.elements) | {"sums": t.sums}
+    return vars(t.nodes) | vars(t.elements) | vars(t.balance)
 
 
 def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarray]:

@@ -47,7 +47,7 @@ from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.target.bodies import Bodies
 from coupler.target.cut import cut_out, put_back
-from coupler.target.places import points_of_impact
+from coupler.target.positions import points_of_impact
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def whole() -> Bodies:
     assert bodies.contact is not None
     springs = bodies.contact.past().nodes
     springs["spring"] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
-    bodies.contact.go_on(ContactPast(springs, friction_heat=2e-9))
+    bodies.contact.continue_from(ContactPast(springs, friction_heat=2e-9))
     return bodies
 
 
@@ -120,7 +120,7 @@ def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     moving = int(np.count_nonzero(np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 10e-6))
     springs = contact.past().nodes
     springs[np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 20e-6] = new_history(1)
-    contact.go_on(ContactPast(springs))
+    contact.continue_from(ContactPast(springs))
     held = contact.pairs.penalty_energy
     contact.search(x, 1e-7, part.bond, moving)
     contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
@@ -135,14 +135,14 @@ def test_cuts_put_back_together_are_those_put_back_one_after_another(whole: Bodi
         part, cut = cut_out(whole, (x, 0.0, 10e-6), 10e-6)
         own = np.isin(part.state().target.nodes.node_number, cut.nodes)
         part.target.nodes.x[own] += rng.normal(scale=1e-9, size=(int(own.sum()), 3))
-        part.target.sums[0] += 2.0**-30
+        part.target.balance.plastic += 2.0**-30
         parts.append((cut, part))
     assert not np.intersect1d(parts[0][0].nodes, parts[1][0].nodes).size
     together, turn_by_turn = put_back(whole, parts), whole
     for part in parts:
         turn_by_turn = put_back(turn_by_turn, [part])
     assert np.abs(together.target.nodes.x - whole.target.nodes.x).max() > 1e-9
-    assert together.target.sums[0] == whole.target.sums[0] + 2.0**-29
+    assert together.target.balance.plastic == whole.target.balance.plastic + 2.0**-29
     np.testing.assert_equal(asdict(together.state()), asdict(turn_by_turn.state()))
 
 
@@ -182,7 +182,7 @@ def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, 
     bodies.bond = None
     bodies.search(1e-7)
     assert bodies.contact is not None
-    rubbed, before = bodies.contact.pairs.friction_heat, float(t.sums[2])
+    rubbed, before = bodies.contact.pairs.friction_heat, t.balance.heat
     for _ in range(3):
         bodies.forces(1e-10)
     heat = bodies.contact.pairs.friction_heat - rubbed
@@ -192,7 +192,7 @@ def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, 
     else:
         part, cut = cut_out(bodies, (-24e-6, 0.0, 10e-6), 10e-6)
         after = put_back(bodies, [(cut, part)])
-    assert after.target.sums[2] - before == pytest.approx(heat, rel=1e-9)
+    assert after.target.balance.heat - before == pytest.approx(heat, rel=1e-9)
 
 
 def test_the_step_of_contacts_does_not_depend_on_the_last_search(whole: Bodies) -> None:

@@ -152,7 +152,7 @@ def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path)
 def test_a_ledger_that_opens_on_the_way_is_reported(tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
         if impact.time > 20e-9 and impact.dt_factor == 1.0:
-            impact.target.sums[0] += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
+            impact.target.balance.plastic += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
 
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe)
     (made,) = result.retries

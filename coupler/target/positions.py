@@ -1,4 +1,4 @@
-"""Where bodies of a target lie: under a particle, near a place, after all impacts."""
+"""Positions of the bodies of a target: under a particle, near a point, after all impacts."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> floa
 
 
 def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Highest place (k,) m at which each of the vertical lines axes (k,2) m meets facets (f,3) of x (n,3) m; -inf where none does."""
+    """Greatest height (k,) m at which vertical lines axes (k,2) m cross facets (f,3) of x (n,3) m; -inf where one does not."""
     line, z, _ = RaySurface(x, facets, closed=False).on_verticals(axes[:, 0], axes[:, 1])
     height = np.full(len(axes), -np.inf)
     np.maximum.at(height, line, z)
@@ -29,7 +29,7 @@ def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarra
 
 
 def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
-    """Impact points (x, y, z) m, where the axis of each particle at an offset (m) meets the surface: waves and windows begin there."""
+    """Points of impact (x, y, z) m: the axis of each particle at an offset (m) crosses the surface there; waves begin there."""
     t = bodies.target
     if bodies.count == 1 and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
         return [(*offset, 0.0) for offset in offsets]
@@ -37,10 +37,10 @@ def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> 
     return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
 
 
-def near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
-    """Bodies whose bounding boxes come within a radius of one of the places, m."""
+def near(bodies: Bodies, points: Sequence[Point], radius: float) -> list[int]:
+    """Bodies whose bounding boxes come within a radius of one of the points, m."""
     low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
-    at = np.array(places)[:, None]
+    at = np.array(points)[:, None]
     away = np.maximum(np.maximum(low - at, at - high), 0.0)
     return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
 
@@ -50,10 +50,10 @@ def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarr
     to where they were at rest: what lies beyond the edge has not moved."""
     if before.edge is None:
         return None
-    number, place = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
+    number, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
     known = np.flatnonzero(number >= 0)
-    place[number[known]] = known
-    nodes = place[before.nodes.node_number[before.edge.nodes]]
+    row[number[known]] = known
+    nodes = row[before.nodes.node_number[before.edge.nodes]]
     return nodes, before.edge.rest - now.nodes.x[nodes]
 
 

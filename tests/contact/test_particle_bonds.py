@@ -9,23 +9,23 @@ from scipy.sparse import identity
 from sheet import ENERGY, FACETS, SHEAR, SIDE, SQUARE, STIFFNESS, STRENGTH, Sheet
 
 from coupler.contact.bond import Bond
-from coupler.contact.hold import CONTACT_RANGE, Hold, bonds_at
+from coupler.contact.particle_bonds import CONTACT_RANGE, ParticleBonds
 from coupler.impact.heat import HeatPaths
 from coupler.physics.constitutive import heat_capacities
 
 
-def alone(bond: Bond) -> Hold:
+def alone(bond: Bond) -> ParticleBonds:
     """A hold of points that have no neighbours."""
-    return Hold(bond, np.zeros(int(bond.nodes.max(initial=0)) + 2, int), np.zeros(0, int))
+    return ParticleBonds(bond, np.zeros(int(bond.nodes.max(initial=0)) + 2, int), np.zeros(0, int))
 
 
-def patch(pull: float, energy: float = np.inf) -> tuple[Hold, np.ndarray, np.ndarray]:
+def patch(pull: float, energy: float = np.inf) -> tuple[ParticleBonds, np.ndarray, np.ndarray]:
     """Four points on a square of two facets, 1 um across, the points pulled off by `pull` m after they were bonded."""
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5.0]]) * 1e-6
     facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
     xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
     law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
-    hold = alone(bonds_at(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law))
+    hold = alone(Bond.tie(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, loose=True, **law))
     return hold, xp + np.array([0.0, 0.0, pull]), x
 
 
@@ -38,8 +38,8 @@ def test_a_hold_pulls_back_and_gives_as_much_to_the_facets() -> None:
     assert not g[4].any()
     np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-18)
     np.testing.assert_allclose(np.cross(xp, f).sum(axis=0) + np.cross(x, g).sum(axis=0), 0.0, atol=1e-22)
-    assert hold.energy == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
-    assert hold.whole.all()
+    assert hold.bond.work == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
+    assert not hold.bond.broken.any()
 
 
 def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
@@ -48,31 +48,31 @@ def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
     for _ in range(300):
         xp[:, 2] += 2e-10  # to 60 nm: the last opening is 2 G / strength = 50 nm
         hold.forces(xp, x, f, g)
-    assert not hold.whole.any()
-    assert hold.energy == pytest.approx(10.0 * 1e-12, rel=5e-3)
+    assert hold.bond.broken.all()
+    assert hold.bond.work == pytest.approx(10.0 * 1e-12, rel=5e-3)
     assert hold.bond.area.sum() == pytest.approx(1e-12)
     assert hold.bond.soundness.max() == 0.0
     again = alone(hold.state())
-    np.testing.assert_array_equal(again.rows, hold.rows)
-    assert again.energy == hold.energy
+    np.testing.assert_array_equal(again.bond.nodes, hold.bond.nodes)
+    assert again.bond.work == hold.bond.work
 
 
 def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
     hold, xp, x = patch(1e-9)
     hold.forces(xp, x, np.zeros_like(xp), np.zeros_like(x))
-    held = hold.energy
+    held = hold.bond.work
     hold.bond.drop(np.ones(4, bool))
     empty = alone(hold.bond)
     f, g = np.zeros_like(xp), np.zeros_like(x)
     empty.forces(xp, x, f, g)
     assert not f.any()
     assert not g.any()
-    assert empty.energy == pytest.approx(held, rel=1e-12)
+    assert empty.bond.work == pytest.approx(held, rel=1e-12)
     assert empty.stable_dt(1.0, np.ones(5)) == np.inf
-    assert len(empty.rows) == 0
+    assert len(empty.bond) == 0
     both = alone(Bond.joined([empty.bond, patch(0.0)[0].bond]))
-    assert len(both.rows) == 4
-    assert both.energy == pytest.approx(held, rel=1e-12)
+    assert len(both.bond) == 4
+    assert both.bond.work == pytest.approx(held, rel=1e-12)
 
 
 def test_its_step_is_that_of_a_mass_on_a_spring() -> None:
@@ -97,9 +97,9 @@ def test_parting_a_known_area_costs_the_fracture_energy_at_any_spacing(mode: str
         else:  # about the edge x = 0; the points nearest to it open last
             to[:, 2] += s * reach * 2 * n * sheet.xp[:, 0] / SIDE
         sheet.move(to)
-    assert not sheet.hold.whole.any()
+    assert sheet.hold.bond.broken.all()
     energy = SHEAR if mode == "shear" else ENERGY
-    assert sheet.hold.energy == pytest.approx(energy * SIDE**2, rel=0.01)
+    assert sheet.hold.bond.work == pytest.approx(energy * SIDE**2, rel=0.01)
     assert sheet.work == pytest.approx(energy * SIDE**2, rel=0.01)
     assert sheet.hold.bond.spent.sum() == pytest.approx(sheet.hold.bond.dissipated, rel=1e-12)
 
@@ -111,11 +111,11 @@ def test_unloading_from_pressure_is_no_opening() -> None:
     for lift in np.linspace(0.0, 79.9e-9, 200):
         assert sheet.move(deep + np.array([0.0, 0.0, lift]))[2] > 0.0
         assert sheet.hold.bond.damage.max() == 0.0
-        assert sheet.hold.energy == pytest.approx(0.0, abs=1e-30)
+        assert sheet.hold.bond.work == pytest.approx(0.0, abs=1e-30)
     assert sheet.move(sheet.xp + np.array([0.0, 0.0, 2e-9]))[2] == pytest.approx(-STIFFNESS * 2e-9 * SIDE**2, rel=1e-6)
     for lift in np.linspace(2e-9, 1e-6, 1000):
         sheet.move(sheet.xp + np.array([0.0, 0.0, lift]))
-    assert sheet.hold.energy == pytest.approx(ENERGY * SIDE**2, rel=0.01)
+    assert sheet.hold.bond.work == pytest.approx(ENERGY * SIDE**2, rel=0.01)
 
 
 def test_sliding_under_pressure_shears_bonds_without_opening_them() -> None:
@@ -151,16 +151,16 @@ def test_what_slides_under_pressure_welds_again(share: float) -> None:
         free.move(free.xp + np.array([slip, 0.0, 0.0]))
     assert force[0] == pytest.approx(-share * STRENGTH * SIDE**2, rel=1e-6)
     assert pressed.hold.bond.damage == pytest.approx(1.0 - share, abs=1e-12)
-    assert pressed.hold.energy == pytest.approx(pressed.work, rel=2e-3)
+    assert pressed.hold.bond.work == pytest.approx(pressed.work, rel=2e-3)
     assert pressed.hold.bond.spent.sum() == pytest.approx(pressed.hold.bond.dissipated, rel=1e-12)
-    assert not free.hold.whole.any()
+    assert free.hold.bond.broken.all()
     slid = pressed.hold.bond.dissipated + pressed.hold.bond.stored
     still = pressed.xp + np.array([way - STRENGTH / STIFFNESS * share, 0.0, 0.0])  # no shear is left
     for lift in np.linspace(-30e-9, 3.0 * ENERGY / STRENGTH, 1000):
         pressed.move(still + np.array([0.0, 0.0, lift]))
-    assert not pressed.hold.whole.any()
+    assert pressed.hold.bond.broken.all()
     unloaded = 0.5 * (share * STRENGTH) ** 2 / STIFFNESS * SIDE**2
-    assert pressed.hold.energy - slid + unloaded == pytest.approx(share**2 * ENERGY * SIDE**2, rel=0.01)
+    assert pressed.hold.bond.work - slid + unloaded == pytest.approx(share**2 * ENERGY * SIDE**2, rel=0.01)
 
 
 def test_a_point_beside_one_that_presses_is_not_opened() -> None:
@@ -188,11 +188,11 @@ def test_a_mass_on_bonds_leaves_above_one_velocity() -> None:
         sheet = Sheet(2)
         z, v, dt = 0.0, ratio * v_margin, 2e-11
         f = 0.0
-        while v > 0.0 and sheet.hold.whole.any():
+        while v > 0.0 and not sheet.hold.bond.broken.all():
             v += f / mass * dt
             z += v * dt
             f = float(sheet.move(sheet.xp + np.array([0.0, 0.0, z]))[2])
-        left.append(v > 0.0 and not sheet.hold.whole.any())
+        left.append(v > 0.0 and sheet.hold.bond.broken.all())
     assert np.count_nonzero(np.diff(left)) == 1
     assert not left[2]
     assert left[6]
@@ -205,12 +205,14 @@ def test_holds_that_form_one_after_another_act_as_one() -> None:
     below = np.where(first.xp[:, 0] > first.xp[:, 1], 0, 1)
     law = {"strength": STRENGTH, "energy": np.where(part, ENERGY, 2 * ENERGY)}
     parts = [
-        bonds_at(np.flatnonzero(rows), FACETS[below[rows]], both.xp, SQUARE, np.full(rows.sum(), 1e-12), STIFFNESS,
-                 strength=STRENGTH, energy=law["energy"][rows])
+        Bond.tie(np.flatnonzero(rows), FACETS[below[rows]], both.xp, SQUARE, np.full(rows.sum(), 1e-12), STIFFNESS,
+                 strength=STRENGTH, energy=law["energy"][rows], loose=True)
         for rows in (part, ~part)
     ]  # fmt: skip
     joined = alone(Bond.joined(parts))
-    whole = alone(bonds_at(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, **law))
+    whole = alone(
+        Bond.tie(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, loose=True, **law)
+    )
     f, g, F, G = np.zeros((n, 3)), np.zeros((4, 3)), np.zeros((n, 3)), np.zeros((4, 3))
     to = both.xp + np.array([1e-8, 0.0, 1.5e-7])
     joined.forces(to, SQUARE, f, g)
@@ -231,7 +233,9 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     t, share = b.target, 0.3
     top = t.mesh.facets[t.mesh.sets["a.top"]][:6]
     xp, area = t.nodes.x[top].mean(axis=1), np.full(6, 1e-13)
-    hold = alone(bonds_at(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY))
+    hold = alone(
+        Bond.tie(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY, loose=True)
+    )
     f, g = np.zeros((6, 3)), np.zeros_like(t.nodes.x)
     for lift in np.linspace(0.0, 1e-6, 1000):
         hold.forces(xp + np.array([0.0, 0.0, lift]), t.nodes.x, f, g)
@@ -252,5 +256,5 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     law = t.laws[t.law_of]
     gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.elements.T - T)))
     assert points.heat.sum() == pytest.approx(share * ENERGY * area.sum(), rel=0.01)
-    assert points.heat.sum() + gained == pytest.approx(hold.energy, rel=1e-6)
+    assert points.heat.sum() + gained == pytest.approx(hold.bond.work, rel=1e-6)
     assert not hold.bond.heat().any()
