@@ -1,66 +1,36 @@
-"""Points of a lattice inside a body; the geodesic surface of a sphere."""
+"""Points of a face-centred cubic lattice inside a body; the geodesic surface of a sphere."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 MIN_NEIGHBOURS = 4
+CELL = np.array(
+    [[0.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]]
+)  # points of the lattice's cell, in edges
+EDGE = len(CELL) ** (1.0 / 3.0)  # of the cell, in spacings
+# Mean square distance, along an axis, of a point's Voronoi cell from it, over spacing^2 (Conway & Sloane 1999, chapter 2)
+MOMENT = 0.0787451
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """The lattice of the points, with an orthogonal cell, and its orientation.
-
-    edges (3,) of the cell, any unit; base (b,3): the points in it, in cells; layers (3,): mean distance of the layers across
-    each edge, in cells; moment: second moment of a point's Voronoi cell about its centre, per axis, over volume^(5/3)
-    (Conway & Sloane 1999, chapter 2). turn: rotation vector (3,), rad, of the lattice, not of the body; without it the edges of
-    the cell are along x, y, z.
-    """
-
-    edges: tuple[float, float, float]
-    base: tuple[tuple[float, float, float], ...]
-    layers: tuple[float, float, float]
-    moment: float
-    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def points(self, spacing: float, half: tuple[float, ...] | list[float], offset: tuple[float, ...]) -> np.ndarray:
-        """The points (k,3), one per spacing^3, over a box of half extents `half` m; offset in cells."""
-        cell, turned = self.cell(spacing), any(self.turn)
-        reach = np.full(3, np.linalg.norm(half)) if turned else np.asarray(half)
-        axes = [np.arange(-count, count) for count in np.ceil(reach / cell).astype(int) + 1]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-        at = (grid + (np.array(self.base) + np.asarray(offset))).reshape(-1, 3) * cell
-        return Rotation.from_rotvec(self.turn).apply(at) if turned else at
-
-    def layer(self, spacing: float, axis: int) -> float:
-        """Distance (m) of the layers along x, y or z of a lattice that is not turned."""
-        return float(self.layers[axis] * self.cell(spacing)[axis])
-
-    def cell_moment(self, spacing: float) -> float:
-        """Mean square distance (m2), along an axis, of a Voronoi cell from its point."""
-        return self.moment * spacing**2
-
-    def cell(self, spacing: float) -> np.ndarray:
-        """Edges (3,) of the cell, m."""
-        edges = np.array(self.edges)
-        return edges * (len(self.base) / edges.prod()) ** (1.0 / 3.0) * spacing
+def lattice(spacing: float, half: Sequence[float], offset: Sequence[float]) -> np.ndarray:
+    """Points (k,3), one per spacing^3, over a box of half extents `half` m; offset in edges of the cell."""
+    edge = EDGE * spacing
+    axes = [np.arange(-count, count) for count in np.ceil(np.asarray(half) / edge).astype(int) + 1]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    return (grid + (CELL + np.asarray(offset))).reshape(-1, 3) * edge
 
 
-FCC = Lattice((1.0, 1.0, 1.0), ((0, 0, 0), (0, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 0.5, 0)), (0.5, 0.5, 0.5), 0.0787451)
-
-
-def sphere(diameter: float, points: int, lattice: Lattice = FCC) -> tuple[np.ndarray, float]:
-    """Points of a lattice inside a sphere, about `points` of them, centred on the origin.
+def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
+    """Points of the lattice inside a sphere, about `points` of them, centred on the origin.
 
     Returns (n,3) positions in m and the volume of each point (m3), the sphere's volume over n. The lattice has no point on
     the centre: its outermost shell is more even then.
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
-    cloud = lattice.points(spacing, [0.5 * diameter] * 3, (0.25, 0.25, 0.25))
+    cloud = lattice(spacing, [0.5 * diameter] * 3, (0.25, 0.25, 0.25))
     inside = cloud[np.einsum("ij,ij->i", cloud, cloud) < (0.5 * diameter) ** 2]
     inside = inside - inside.mean(axis=0)
     return np.ascontiguousarray(inside), volume / len(inside)
@@ -72,14 +42,13 @@ def fill(
     volume: float,
     points: int,
     flat: tuple[int, ...] = (),
-    lattice: Lattice = FCC,
 ) -> tuple[np.ndarray, float]:
-    """Points of a lattice inside a body, about `points` of them, their mean on the origin.
+    """Points of the lattice inside a body, about `points` of them, their mean on the origin.
 
     inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, divided equally
     among the points; flat: the axes along which the body ends in flat faces. Among some lattice constants and offsets the
     one is taken whose points, each with its cell, come closest to the body's volume and second moments, and whose outermost
-    layers lie half a layer inside flat faces (not for a turned lattice). Points with fewer than MIN_NEIGHBOURS neighbours are
+    layers lie half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are
     left out: they cannot follow a deformation. Returns as `sphere` does.
     """
     moments = _second_moments(inside, half)
@@ -87,16 +56,16 @@ def fill(
     for scale in np.linspace(0.97, 1.03, 21 if points < 20000 else 9):
         spacing = scale * (volume / points) ** (1.0 / 3.0)
         for offset in ((a, b, c) for a in (0.0, 0.25) for b in (0.0, 0.25) for c in (0.0, 0.25)):
-            cloud = lattice.points(spacing, half, offset)
+            cloud = lattice(spacing, half, offset)
             cloud = cloud[inside(cloud)]
             if len(cloud) == 0:
                 continue
-            spread = cloud.var(axis=0) + lattice.cell_moment(spacing)
+            spread = cloud.var(axis=0) + MOMENT * spacing**2
             misfit = abs(len(cloud) * spacing**3 / volume - 1.0) + float(np.abs(spread / moments - 1.0).max())
             misfit += float(np.abs(cloud.mean(axis=0)).max() / spacing) + 0.05 * abs(len(cloud) / points - 1.0)
-            for i in () if any(lattice.turn) else flat:
+            for i in flat:
                 outside = half[i] - cloud[:, i].max() + cloud[:, i].mean()
-                misfit += 0.1 * abs(outside / lattice.layer(spacing, i) - 0.5)
+                misfit += 0.1 * abs(outside / (0.5 * EDGE * spacing) - 0.5)
             if best is None or misfit < best[0]:
                 best = misfit, _connected(cloud, spacing)
     assert best is not None

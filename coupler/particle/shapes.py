@@ -38,30 +38,22 @@ class Body:
         return float(self.volume ** (1.0 / 3.0))
 
 
-def shape(
-    name: str,
-    diameter: float,
-    points: int,
-    tilt: float = 0.0,
-    edge: float = 0.8,
-    lattice: packing.Lattice = packing.FCC,
-) -> Body:
+def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
     """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
-    tilt: rad, about y, see `coupler.physics.shapes`. edge: length of the surface's edges over the points' spacing. lattice: of
-    the points, before the tilt.
+    tilt: rad, about y, see `coupler.physics.shapes`. edge: length of the surface's edges over the points' spacing.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
     inner = None
     if name == "sphere":
-        cloud, each = packing.sphere(diameter, points, lattice)
+        cloud, each = packing.sphere(diameter, points)
         skin = packing.surface(diameter, edge * each ** (1.0 / 3.0))
         body = Body(cloud, each, *skin, np.pi * diameter**2, 0.5 * diameter)
     else:
         half = (0.5 * form.lengths[0], 0.5 * form.lengths[1], 0.5 * form.lengths[2])
         flat = _FLAT.get(name, ())
-        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, flat, lattice)
+        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, flat)
         vertices, triangles = _surface(form, edge * each ** (1.0 / 3.0))
         if name == "hollow_sphere":
             hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))

@@ -104,7 +104,7 @@ def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> 
     assert len(body.points) * body.volume == pytest.approx(SPHERE * D**3)
     np.testing.assert_allclose(body.points.mean(axis=0), 0.0, atol=1e-6 * D)
     exact = inertia(solid.points * D, solid.triangles)
-    moments = np.cov(body.points.T, bias=True) + packing.FCC.cell_moment(body.spacing) * np.eye(3)
+    moments = np.cov(body.points.T, bias=True) + packing.MOMENT * body.spacing**2 * np.eye(3)
     difference = np.abs(moments - exact).max() / np.linalg.eigvalsh(exact).max()
     assert difference < (0.09 if name == "splinter" else 0.025)
     assert RaySurface(body.vertices, body.triangles).distance_outside(body.points).max() < 0.05 * body.spacing
@@ -131,7 +131,7 @@ def test_a_ball_from_a_file_is_the_sphere() -> None:
     """Moments of its points: those of a ball of equal volume, D^2 / 20 along each axis."""
     solid = solid_of(*packing.surface(1.0, 0.05))
     body = shapes.of_surface(solid.points, solid.triangles, D, 2000)
-    cell = packing.FCC.cell_moment(body.spacing)
+    cell = packing.MOMENT * body.spacing**2
     np.testing.assert_allclose(body.points.var(axis=0) + cell, D**2 / 20.0, rtol=0.01)
 
 

@@ -1,12 +1,10 @@
 """Particle shapes: equal volume, the paper's aspect ratios, uniform points, closed surfaces; and each of them in an impact."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
-from lattices import BCC, HCP, turned_at_random
 from scenes import problems_with, scene_with
 from scipy.spatial import cKDTree
 
@@ -102,38 +100,11 @@ def test_spacing_is_uniform(body: tuple[str, shapes.Body]) -> None:
     assert np.percentile(neighbours, 70) == 12
 
 
-# the lattice as asked for, its nearest neighbours, how many of them, and their distance over the spacing
-@pytest.mark.parametrize(
-    ("lattice", "count", "distance"),
-    [
-        (packing.FCC, 12, 2 ** (1 / 6)),
-        (HCP, 12, 2 ** (1 / 6)),
-        (BCC, 8, 3**0.5 / 2 ** (2 / 3)),
-        (replace(packing.FCC, turn=(0.3, -1.2, 0.8)), 12, 2 ** (1 / 6)),
-        (turned_at_random(4, BCC), 8, 3**0.5 / 2 ** (2 / 3)),
-    ],
-)
-@pytest.mark.parametrize("name", ["sphere", "flake"])
-def test_any_lattice_fills_a_body(name: str, lattice: packing.Lattice, count: int, distance: float) -> None:
-    b = shapes.shape(name, D, 2000, lattice=lattice)
-    assert len(b.points) == pytest.approx(2000, rel=0.15 if name == "flake" else 0.03)
-    assert len(b.points) * b.volume == pytest.approx(V, rel=1e-12)
-    assert np.abs(b.points.mean(0)).max() < 1e-9 * D
-    tree = cKDTree(b.points)
-    nearest = tree.query(b.points, 2)[0][:, 1]
-    assert nearest.mean() == pytest.approx(distance * b.spacing, rel=0.05)
-    around = tree.query_ball_point(b.points, 1.05 * nearest.mean(), return_length=True) - 1
-    assert np.percentile(around, 80) == count
-    plain = packing.sphere(D, 2000)[0]
-    same = name == "sphere" and lattice == packing.FCC
-    assert np.array_equal(b.points, plain) == same
-
-
-@pytest.mark.parametrize("lattice", [packing.FCC, HCP, BCC], ids=["fcc", "hcp", "bcc"])
-def test_the_moment_of_a_lattices_cells(lattice: packing.Lattice, rng: np.random.Generator) -> None:
-    x = rng.uniform(0, 1, (200_000, 3)) * lattice.cell(1.0)
-    far = cKDTree(lattice.points(1.0, [5.0] * 3, (0.0, 0.0, 0.0))).query(x)[0]
-    assert (far**2).mean() / 3 == pytest.approx(lattice.cell_moment(1.0), rel=5e-3)
+def test_the_moment_of_a_lattices_cells(rng: np.random.Generator) -> None:
+    """Mean square distance from the nearest point, of places all over a cell."""
+    x = rng.uniform(0, 1, (200_000, 3)) * packing.EDGE
+    far = cKDTree(packing.lattice(1.0, [5.0] * 3, (0.0, 0.0, 0.0))).query(x)[0]
+    assert (far**2).mean() / 3 == pytest.approx(packing.MOMENT, rel=5e-3)
 
 
 def test_surface_is_closed_outward_and_even(body: tuple[str, shapes.Body]) -> None:
