@@ -1,7 +1,7 @@
 """What follows a failure inside an impact: it is computed again from its start, with the next of REMEDIES; each retry is reported."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ..errors import SolverError
 
@@ -12,11 +12,7 @@ class Remedy:
 
     dt_factor: float
     words: str
-    numerics: Mapping[str, float] = field(default_factory=dict)
-
-    def raised(self, numerics: Mapping[str, float]) -> dict[str, float]:
-        """Numerics as they were asked for, raised to the least that this remedy wants."""
-        return {**numerics, **{name: max(least, numerics.get(name, least)) for name, least in self.numerics.items()}}
+    numerics: Mapping[str, float]
 
 
 # The first one gives the enriched scheme hourglass control in place of its residuals, which let a soft rim thin out without end.
@@ -53,5 +49,6 @@ def next_retry(
     if len(before) >= len(REMEDIES):
         raise error
     remedy = REMEDIES[len(before)]
+    raised = {name: max(least, requested.get(name, least)) for name, least in remedy.numerics.items()}
     reason = str(error).split(". Try ")[0].split(": try ")[0]
-    return Retry(impact, time, reason, remedy.words, remedy.dt_factor, remedy.raised(requested))
+    return Retry(impact, time, reason, remedy.words, remedy.dt_factor, {**requested, **raised})

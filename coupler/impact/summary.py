@@ -52,56 +52,21 @@ def summarise(
     A measure outside its range, one that needs the end criterion of an undecided impact, and the rebound velocity of a particle that
     does not rebound, is None; `refused` has the reason.
     """
-    particle, ledger, impact_plan = impact.particle, impact.ledger, recorder.impact_plan
-    measured = recorder.measures(impact)
-    verdict = verdict_values(
-        recorder.plan.adhesion,
-        impact_plan,
-        float(particle.mass.sum()),
-        measured["velocity_z_m_s"],
-        impact.hold,
-        is_lost,
-    )
-    others = ("drift", "momentum_error")
+    particle, measured = impact.particle, recorder.measures(impact)
+    mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
     own = {
-        **verdict,
-        "material": impact_plan.material.name,
-        "diameter_m": impact_plan.diameter,
-        "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
-        "surface_level_m": impact.domains.level,
-        "penetration_max_m": impact.deepest,
-        "contact_dropped": impact.contact.dropped,
-        "contact_dropped_bodies": impact.bodies.contact.pairs.dropped if impact.bodies.contact is not None else 0,
-        "energy_drift": ledger.rows["drift"],
-        "momentum_error": ledger.rows["momentum_error"],
-        "numerical_dissipation": ledger.numerical_dissipation,
-        "dissipation_of_plastic": ledger.dissipation_of_plastic,
-        "points": particle.n,
-        "elements": len(impact.target.mesh.conn),
-        "nodes": len(impact.target.nodes.x),
-        "spacing_m": particle.spacing,
-        "steps": particle.steps,
-        "dt_mean_s": impact.time / particle.steps,
-        "dt_limited_by": impact.limits,
-        "numerics": asdict(particle.numerics),
+        **verdict_values(recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.hold, is_lost),
+        **_computed(impact, recorder),
         "wall_s": wall,
         "wall_loop_s": looped,
         "idle_share": particle.idle(looped),
-        "kinetic_energy_0_J": ledger.kinetic_0,
-        "energies": {name: value / ledger.kinetic_0 for name, value in ledger.rows.items() if name not in others},
         "undecided": undecided,
     }
     end: Values = {**measured}
     if not settled and not is_lost:
-        reason = undecided or "the contact has not come to an end"
-        own |= {
-            "verdict": UNDECIDED,
-            "verdict_by": None,
-            "verdict_rests_on": reason,
-            "verdict_is_close": False,
-            **({"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}),
-            **dict.fromkeys(_NEED_VERDICT),
-        }
+        own |= {"verdict": UNDECIDED, "verdict_by": None, "verdict_is_close": False, **dict.fromkeys(_NEED_VERDICT)}
+        own["verdict_rests_on"] = undecided or "the contact has not come to an end"
+        own |= {"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}
     missing = [key for key in ("rebounded", "restitution", "rebound_velocity_m_s") if own[key] is None]
     refused = dict.fromkeys(missing, STUCK if own["verdict"] == STICKS else str(own["verdict_rests_on"]))
     if undecided is not None:
@@ -122,6 +87,35 @@ def summarise(
         list(retries),
         sum(particle.everywhere(peak_memory)),
     )
+
+
+def _computed(impact: Impact, recorder: Recorder) -> Values:
+    """The numbers of the computation: what it was of, in what resolution, and how well it has kept its balances."""
+    particle, target, ledger, impact_plan = impact.particle, impact.target, impact.ledger, recorder.impact_plan
+    energies = {name: value for name, value in ledger.rows.items() if name not in ("drift", "momentum_error")}
+    return {
+        "material": impact_plan.material.name,
+        "diameter_m": impact_plan.diameter,
+        "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
+        "surface_level_m": impact.domains.level,
+        "penetration_max_m": impact.deepest,
+        "contact_dropped": impact.contact.dropped,
+        "contact_dropped_bodies": impact.bodies.contact.pairs.dropped if impact.bodies.contact is not None else 0,
+        "energy_drift": ledger.rows["drift"],
+        "momentum_error": ledger.rows["momentum_error"],
+        "numerical_dissipation": ledger.numerical_dissipation,
+        "dissipation_of_plastic": ledger.dissipation_of_plastic,
+        "points": particle.n,
+        "elements": len(target.mesh.conn),
+        "nodes": len(target.nodes.x),
+        "spacing_m": particle.spacing,
+        "steps": particle.steps,
+        "dt_mean_s": impact.time / particle.steps,
+        "dt_limited_by": impact.limits,
+        "numerics": asdict(particle.numerics),
+        "kinetic_energy_0_J": ledger.kinetic_0,
+        "energies": {name: value / ledger.kinetic_0 for name, value in energies.items()},
+    }
 
 
 def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") -> dict[str, V | None]:
