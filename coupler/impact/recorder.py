@@ -154,7 +154,7 @@ class Recorder:
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         vertices = s.positions(p.x)
-        skin["from_points"] = cKDTree(p.x).query(vertices)[0]
+        skin["from_points"] = cKDTree(p.x, balanced_tree=False, compact_nodes=False).query(vertices)[0]  # built sooner
         self.store.write("surface", time, vertices, s.triangles, skin)
         self.store.write("target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
         self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
