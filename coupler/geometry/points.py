@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from .library import open3d
@@ -79,3 +80,17 @@ def morton(x: NDArray) -> NDArray[np.uint64]:
         for d in range(3):
             key |= ((cells[:, d] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + d)
     return key
+
+
+def points_near(tree: cKDTree, places: np.ndarray, reach: float, least: int, instead: int) -> csr_array:
+    """Matrix (k,n) with a 1 for each point of a tree that lies within reach (m) of each of places (k,3) m, columns ascending; where
+    there are fewer than `least`, for the `instead` nearest ones."""
+    found = cKDTree(places).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+    few = np.bincount(found.row, minlength=len(places)) < least
+    instead = min(instead, tree.n)
+    nearest = tree.query(places[few], k=instead)[1]
+    rows = np.concatenate([found.row[~few[found.row]], np.repeat(np.flatnonzero(few), instead)])
+    columns = np.concatenate([found.col[~few[found.row]], nearest.ravel()])
+    matrix = csr_array((np.ones(len(rows)), (rows, columns)), (len(places), tree.n))
+    matrix.sort_indices()
+    return matrix

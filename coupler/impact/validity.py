@@ -45,7 +45,7 @@ def _percentile(values: np.ndarray) -> float:
         return 0.0
     place = 0.99 * (len(above) - 1)
     k = np.array([place, min(place + 1.0, len(above) - 1)], int)
-    return float(np.interp(place, k, np.partition(above, k)[k]))  # a sixth of the time of numpy.percentile
+    return float(np.interp(place, k, np.partition(above, k)[k]))  # a quarter of the time of numpy.percentile
 
 
 @dataclass

@@ -45,12 +45,3 @@ def spread(rows: Ints, start: Ints, columns: Ints, weights: Floats, forces: Floa
             out[j, 0] += w * a
             out[j, 1] += w * b
             out[j, 2] += w * c
-
-
-@njit(cache=True, nogil=True)
-def share(rows: Ints, start: Ints, columns: Ints, weights: Floats, amounts: Floats, out: Floats) -> None:
-    """out (n,) += W^T amounts, of the given rows of amounts (k,) alone, in their order. W as in `combine`."""
-    for q in range(len(rows)):
-        r = rows[q]
-        for m in range(start[r], start[r + 1]):
-            out[columns[m]] += weights[m] * amounts[r]

@@ -12,12 +12,15 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import cKDTree
 
+from ..core.arrays import occurring
 from ..core.threads import together
+from ..geometry.points import points_near
 from ..geometry.products import times, times_rows
 from ..geometry.triangles import rings
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
+LEAST, INSTEAD = 8, 12  # points of a vertex: with fewer than the first number within SUPPORT, so many of the nearest
 BESIDE = 1.0  # spacings: a point so near to a vertex lies under it, in the outermost layer
 
 
@@ -27,34 +30,25 @@ class CarriedSurface:
     def __init__(self, X: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, spacing: float):
         self.triangles = triangles
         tree = cKDTree(X)
-        support = SUPPORT * spacing
-        groups = tree.query_ball_point(vertices, support)
-        few = [i for i, group in enumerate(groups) if len(group) < 8]
-        if few:
-            groups = list(groups)
-            for i in few:
-                groups[i] = list(tree.query(vertices[i], k=min(12, len(X)))[1])
-        counts = np.array([len(group) for group in groups])
-        columns = np.concatenate([np.asarray(group) for group in groups])
-        rows = np.repeat(np.arange(len(vertices)), counts)
+        near = points_near(tree, vertices, SUPPORT * spacing, LEAST, INSTEAD)
+        rows, columns = np.repeat(np.arange(len(vertices)), np.diff(near.indptr)), near.indices
         d = (X[columns] - vertices[rows]) / spacing
         r = np.linalg.norm(d, axis=1) / SUPPORT
         w = np.clip(1.0 - r, 0.02, None) ** 2
         p = np.concatenate([np.ones((len(d), 1)), d], axis=1)
-        M = np.zeros((len(vertices), 4, 4))
-        np.add.at(M, rows, w[:, None, None] * p[:, :, None] * p[:, None, :])
+        M = np.stack([np.bincount(rows, w * a * b) for a in p.T for b in p.T], axis=1).reshape(-1, 4, 4)
         c = np.linalg.solve(M, np.broadcast_to(np.array([[1.0], [0], [0], [0]]), (len(vertices), 4, 1)))[:, :, 0]
         phi = w * np.einsum("ij,ij->i", c[rows], p)
         shape = (len(vertices), len(X))
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
         # The points may touch too: a single one can pass through the surface, which is an average.
         self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
-        self._touching = _compressed(self.touching)
-        self._rows = np.arange(self.touching.shape[0])
+        W = self.touching  # unsigned, because numba then does not test for negative indices
+        self._touching = W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
         self.under = _under(tree, vertices, spacing)
         shepard = w / np.bincount(rows, w)[rows]
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
-        self._average = _compressed(self.average)
+        self._from_vertices = self.average.T
 
     @cached_property
     def neighbours(self) -> csr_matrix:
@@ -77,15 +71,10 @@ class CarriedSurface:
         """`contacts` of the positions x and of the velocities v, of these rows alone, in all threads."""
         together(k.combine_both, rows, self._touching, x, v, out_x, out_v)
 
-    def spread(self, forces: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
-        """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power.
-
-        With rows only these forces are taken. With `out` they are added to it, at `support(rows)` and nowhere else.
-        """
-        if out is None:
-            out = np.zeros((self.touching.shape[1], 3))
-        k.spread(self._rows if rows is None else rows, *self._touching, forces, out)
-        return out
+    def spread(self, forces: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
+        """Add forces (k+n,3) on these rows of `contacts` to forces (n,3) on the points, out, at `support(rows)`: the same resultant,
+        the same moment, the same power."""
+        k.spread(rows, *self._touching, forces, out)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Values (k+n,) of `contacts`, such as forces, as (k,) at the vertices: each with its share of the values at points below."""
@@ -94,19 +83,12 @@ class CarriedSurface:
 
     def support(self, rows: np.ndarray) -> np.ndarray:
         """The points (p,), ascending, that these rows of `contacts` depend on and that receive their forces."""
-        used = np.zeros(self.touching.shape[1], bool)
-        start = self.touching.indptr
-        counts = start[rows + 1] - start[rows]
-        steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        used[self.touching.indices[np.repeat(start[rows], counts) + steps]] = True
-        return np.flatnonzero(used)
+        return occurring(self.touching[rows].indices, self.touching.shape[1])
 
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
         """Heat (k+n,) J at `contacts`, distributed to the points (n,)."""
         vertices = self.average.shape[0]
-        out = heat[vertices:].copy()
-        k.share(np.flatnonzero(heat[:vertices]), *self._average, heat, out)
-        return out
+        return heat[vertices:] + self._from_vertices @ heat[:vertices]
 
     def softness(self, mass: np.ndarray) -> float:
         """Largest inverse effective mass (1/kg) of one of `contacts`: sum of weight^2 / mass."""
@@ -123,8 +105,3 @@ def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
     near.data[:] = 1.0
     shares = near.multiply(1.0 / np.maximum(near.sum(axis=1), 1.0))
     return shares.T.tocsr()
-
-
-def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Start of each row, columns and weights, for the kernels; unsigned, because numba then does not test for negative indices."""
-    return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data

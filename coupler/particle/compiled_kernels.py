@@ -296,15 +296,22 @@ def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def share_losses(lo: int, hi: int, s: Sides, loss: Floats, heat: Floats) -> None:
-    """Half the loss (m,2) J of each pair to each of its points: heat (n,2) J by viscosity and by hourglass control is written."""
-    for i in range(lo, hi):
-        viscous = control = 0.0
-        for k in range(s.first[i], s.first[i + 1]):
-            row = s.pair[k] if s.pair[k] >= 0 else ~s.pair[k]
-            viscous += loss[row, 0]
-            control += loss[row, 1]
-        heat[i, 0], heat[i, 1] = 0.5 * viscous, 0.5 * control
+def share_losses(team: Ints, n: int, s: Sides, losses: Losses, heat: Floats, sums: Floats) -> None:
+    """Half the loss of each pair to each of its points in all threads: heat (n,) J is written, and sums (PARTS,2) J, part by part, by
+    viscosity and by hourglass control. The losses begin again from zero."""
+    for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
+        for i in range(lo, hi):
+            viscous = control = 0.0
+            for k in range(s.first[i], s.first[i + 1]):
+                row = s.pair[k] if s.pair[k] >= 0 else ~s.pair[k]
+                viscous += 0.5 * losses.work[row, 0]
+                control += 0.5 * losses.work[row, 1]
+            heat[i] = viscous + control
+            sums[part, 0] += viscous
+            sums[part, 1] += control
+    for lo, hi, _ in ranges(team, 1, len(losses.work), LEAST_PAIRS):
+        losses.work[lo:hi] = 0.0
+        losses.strength[lo:hi] = 0.0
 
 
 @njit(cache=True, nogil=True)

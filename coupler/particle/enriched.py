@@ -17,6 +17,7 @@ energy of elastic waves.
 """
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import Annotated
 
 import numpy as np
@@ -141,8 +142,8 @@ class EnrichedParticle(CompiledParticle):
         bound = super().stable_dt()
         return min(safety.LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
 
-    def elastic(self) -> float:
-        return super().elastic() + self.volume_of_point * float(self.points.unseen.sum())
+    def _recoverable(self, stored: float) -> float:
+        return super()._recoverable(stored) + self.volume_of_point * float(self.points.unseen.sum())
 
     def state(self) -> LocalState:
         self.points.bend[self._point[:, None], self._slot] = self._residuals.plastic
@@ -160,8 +161,9 @@ def _one_sided(X: np.ndarray, h: float) -> np.ndarray:
     pairs = cKDTree(X).query_pairs(h, output_type="ndarray")
     d = (X[pairs[:, 1]] - X[pairs[:, 0]]) / h
     weight = (1.0 - np.sqrt((d * d).sum(axis=1))) ** 2
-    third = np.einsum("k,ki,kj,kl->kijl", weight, d, d, d).reshape(-1, 27)
-    moment = np.zeros((len(X), 27))
-    np.add.at(moment, pairs[:, 0], third)
-    np.add.at(moment, pairs[:, 1], -third)
-    return np.abs(moment).max(axis=1) > SYMMETRIC * float(weight.max(initial=0.0))
+    largest = np.zeros(len(X))
+    for axes in combinations_with_replacement(range(3), 3):
+        third = weight * d[:, axes].prod(axis=1)
+        moment = np.bincount(pairs[:, 0], third, len(X)) - np.bincount(pairs[:, 1], third, len(X))
+        largest = np.maximum(largest, np.abs(moment))
+    return largest > SYMMETRIC * float(weight.max(initial=0.0))

@@ -145,11 +145,14 @@ class PointFrequency:
         stirred = (self._stiffness / largest)[:, None] ** 2 * self._random
         stirred *= STIRRED / self._size(stirred)
         before = self._size(mode)
-        u = mode / before + stirred if before > 0.0 else self._random
-        omega2 = 0.0
+        u = self._small.u[: len(J)]
+        u[:] = mode / before + stirred if before > 0.0 else self._random
+        size = self._size(u)
         for _ in range(NEXT if before > 0.0 else FIRST):
-            u = self._accelerations(F, J, u / self._size(u))
-            omega2 = self._size(u)
+            u /= size
+            self._accelerate(F, J)
+            size = self._size(u)
+        omega2 = size  # of a vector of length 1
         limit = 2.0 / np.sqrt(omega2)
         if not limit > 0.0:
             return np.nan
@@ -161,13 +164,12 @@ class PointFrequency:
         """Root of the sum of squares over all points of all ranks."""
         return float(np.sqrt(sum(self._gather(float(np.einsum("ij,ij->", a, a))))))
 
-    def _accelerations(self, F: np.ndarray, J: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Minus the accelerations (n,3) that a small motion u (n,3) makes."""
+    def _accelerate(self, F: np.ndarray, J: np.ndarray) -> None:
+        """Turn the small motion u of the points into minus the accelerations that it makes."""
         n, small = len(J), self._small
-        small.u[:n] = u
         self._fetch(small.u)
         together(stress_of_all, n, (self._law, self._volume, self._sides, self._X, F, J, small))
         self._fetch(small.Q, small.residual)
         together(forces_of_all, n, self._pairs, small, (self._sides, small.force, self._f))
         self._slow(self._f)
-        return self._f / -self._mass
+        np.divide(self._f, -self._mass, out=small.u[:n])

@@ -20,29 +20,29 @@ from scipy.spatial import cKDTree
 from ..core import safety
 from ..core.loops import PARTS
 from ..core.threads import together
+from ..geometry.points import points_near
 from . import heat_kernels as k
 
-SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
-MIN_NEIGHBOURS = 10
+LEAST = 11  # points that a gradient is fitted to, itself among them
 
 
 class PointConduction:
     """Conduction among all points of one particle. X (n,3) m: reference positions; spacing m; volume (n,) m3; law: LAW (1,)."""
 
     def __init__(self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray):
-        n = len(X)
+        n, near = len(X), points_near(cKDTree(X), X, k.SUPPORT * spacing, LEAST, LEAST)
         self.law, self.spacing = law, spacing
-        rows, columns, weights = _fits(X, spacing)
-        places, back = np.arange(n + 1), np.lexsort((rows, columns))
-        self.operators = k.Operators(
-            np.searchsorted(rows, places).astype(np.uint32), columns.astype(np.uint32), weights
-        )
+        start, columns = near.indptr.astype(np.uint32), near.indices.astype(np.uint32)
+        reach, weights = np.zeros((n, 4)), np.zeros((len(columns), 4))
+        self.operators = k.Operators(start, columns, weights)
+        together(k.fit, n, spacing, X, self.operators, reach)
+        near.data = np.arange(len(columns))
+        back = near.tocsc()
         self._transposed = k.Operators(
-            np.searchsorted(columns[back], places).astype(np.uint32), rows[back].astype(np.uint32), weights[back]
+            back.indptr.astype(np.uint32), back.indices.astype(np.uint32), weights[back.data]
         )
-        reach = np.stack([np.bincount(rows, column, n) for column in np.abs(weights).T], axis=1)
         (D, kD), (c, capacity, T, gained) = np.zeros((2, n, 6)), np.zeros((4, n))
-        self._flow = k.Conduction(volume, np.asarray(reach, float), D, kD, c, capacity, np.zeros((n, 4)), T, gained)
+        self._flow = k.Conduction(volume, reach, D, kD, c, capacity, np.zeros((n, 4)), T, gained)
 
     def share(self, time: float, x: np.ndarray, T: np.ndarray) -> np.ndarray:
         """Heat (n,) J that points gain by conduction over `time` s at positions x (n,3) m from temperatures T (n,) K.
@@ -58,33 +58,3 @@ class PointConduction:
             together(k.conduct, n, dt, *operators, flow)
             left = left - dt if left > 1.5 * dt else 0.0
         return flow.gained.copy()
-
-
-def _fits(X: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradient operators along x, y, z (1/m), and the operator R of the excess over the estimate from the neighbours: rows (m,),
-    columns (m,), ascending, and weights (m,4).
-
-    Weighted least squares T_j = T_i + g . (X_j - X_i) for the gradients; the excess is T_i less the mean of T_j - g . (X_j - X_i).
-    """
-    n, tree = len(X), cKDTree(X)
-    near = tree.query_pairs(SUPPORT * spacing, output_type="ndarray")
-    pairs = np.concatenate([near, near[:, ::-1], np.tile(np.arange(n)[:, None], 2)])
-    few = np.bincount(pairs[:, 0], minlength=n) < MIN_NEIGHBOURS + 1
-    nearest = tree.query(X[few], k=min(MIN_NEIGHBOURS + 1, n))[1].reshape(few.sum(), -1)
-    more = np.column_stack([np.repeat(np.flatnonzero(few), nearest.shape[1]), nearest.ravel()])
-    rows, columns = np.concatenate([pairs[~few[pairs[:, 0]]], more]).T
-    order = np.lexsort((columns, rows))
-    rows, columns = rows[order], columns[order]
-    own = columns == rows
-    d = (X[columns] - X[rows]) / spacing
-    w = np.where(own, 0.0, np.clip(1.0 - np.linalg.norm(d, axis=1) / (1.2 * SUPPORT), 0.05, None) ** 2)
-    A = np.zeros((n, 3, 3))
-    np.add.at(A, rows, w[:, None, None] * d[:, :, None] * d[:, None, :])
-    gradient = w[:, None] * np.einsum("mij,mj->mi", np.linalg.inv(A)[rows], d) / spacing
-    w /= np.bincount(rows, w, n)[rows]
-    for a in range(3):  # of a point itself: minus those of its neighbours
-        gradient[own, a] = -np.bincount(rows, gradient[:, a], n)
-    weights = np.column_stack([gradient, np.where(own, 1.0, -w)])
-    for a in range(3):
-        weights[:, 3] += np.bincount(rows, w * d[:, a], n)[rows] * spacing * gradient[:, a]
-    return rows, columns, weights

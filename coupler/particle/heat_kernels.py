@@ -3,14 +3,18 @@
 D, kD: symmetric tensors xx yy zz yz xz xy. SI units.
 """
 
+from math import sqrt
 from typing import NamedTuple
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws, Symmetric, Vector
 from ..core.loops import ranges
+from ..geometry.matrix_kernels import ZERO, add_outer, applied, inverse
+from ..geometry.vector_kernels import apart, dot
 from ..physics.constitutive import conductivity, heat_capacity
 
 LEAST_POINTS = 200  # in a range of a loop that threads share
+SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
 SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2
 LEAST_J = 0.1  # volume ratio: a smaller one is an error of the gradient
 
@@ -37,6 +41,33 @@ class Conduction(NamedTuple):
     q: Floats
     T: Floats
     gained: Floats
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit(team: Ints, n: int, spacing: float, X: Floats, G: Operators, reach: Floats) -> None:
+    """The weights of G and R of n points at X (n,3) m, and the sums (n,4) of their absolute values, in all threads.
+
+    Weighted least squares T_j = T_i + g . (X_j - X_i) for the gradients; the excess is T_i less the mean of T_j - g . (X_j - X_i).
+    """
+    w = G.weights
+    for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
+        for i in range(lo, hi):
+            A, total, m0, m1, m2 = ZERO, 0.0, 0.0, 0.0, 0.0
+            for s in range(G.start[i], G.start[i + 1]):
+                d = apart(X, i, G.columns[s])
+                if G.columns[s] != i:
+                    w[s, 3] = max(1.0 - sqrt(dot(d, d)) / (1.2 * SUPPORT * spacing), 0.05) ** 2
+                f = w[s, 3] * d[0], w[s, 3] * d[1], w[s, 3] * d[2]
+                A, total, m0, m1, m2 = add_outer(A, f, d), total + w[s, 3], m0 + f[0], m1 + f[1], m2 + f[2]
+            B, _ = inverse(A)
+            g0, g1, g2 = applied(B, -m0, -m1, -m2)  # of the point itself
+            for s in range(G.start[i], G.start[i + 1]):
+                is_own, c, d = G.columns[s] == i, w[s, 3], apart(X, i, G.columns[s])
+                a = (g0, g1, g2) if is_own else applied(B, c * d[0], c * d[1], c * d[2])
+                w[s, 0], w[s, 1], w[s, 2] = a
+                w[s, 3] = (1.0 if is_own else -c / total) + (m0 * a[0] + m1 * a[1] + m2 * a[2]) / total
+                for column in range(4):
+                    reach[i, column] += abs(w[s, column])
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -19,8 +19,10 @@ from scipy.sparse import csr_array
 
 from ..compiling import njit
 from ..core.arrays import Floats, Laws
+from ..core.threads import share
 from ..geometry.matrix_kernels import applied, inverse, matrix_of, transposed
 from ..physics.constitutive import bulk_stiffness
+from .law import LEAST_POINTS
 from .model import Sides
 
 ENOUGH = 0.25  # spacings over wave speed: cells whose safe step is that long do not limit the particle
@@ -68,7 +70,8 @@ class CellInertia:
     def weigh(self, F: np.ndarray, J: np.ndarray) -> None:
         """Choose the cells and their inertia for deformation gradients F (n,9) and volume ratios J (n,)."""
         n = len(J)
-        inertia_of_cells(0, n, self._law, self._scale, self._mass, self._sides, F, J, self._spatial, self._inertia)
+        of_cells = self._law, self._scale, self._mass, self._sides, F, J, self._spatial, self._inertia
+        share(lambda lo, hi: inertia_of_cells(lo, hi, *of_cells), n, LEAST_POINTS)
         chosen = np.flatnonzero(self._inertia)
         first = self._sides.first.astype(np.int64)
         rows = np.repeat(np.arange(len(chosen)), first[chosen + 1] - first[chosen])

@@ -126,7 +126,7 @@ _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not te
 class Particle(ABC):
     """State and motion of one SPH particle, or of this rank's n points of it; an engine adds stress and internal forces.
 
-    points: its state, of which LAMMPS keeps some arrays itself. f_ext (n,3) N: forces from outside, filled in by the callback.
+    points: its state, of which LAMMPS keeps some arrays itself. f_ext (n,3) N: forces from outside, which the callback adds to.
     X (n,3): reference positions; ids (n,): which of the points given these are (they stay: neighbours are those of the reference
     configuration). SI units.
     """
@@ -206,6 +206,7 @@ class Particle(ABC):
         self.points.vest[:] = velocity
         self.points.eff_plastic_strain[:] = self.points.sigma_y / H
         self._start_engine()
+        self._f_out = self.lmp.numpy.fix_external_get_force("coupler")  # LAMMPS adds them to f
         self.mass = self._mass.copy()
 
     def _lammps(self, name: str) -> np.ndarray:
@@ -222,6 +223,7 @@ class Particle(ABC):
         this one, on_step is called to the end of the `steps` all the same: `failure` then says what happened.
         """
         self._on_step, self.dt, self.failure, self._steps_left = on_step, dt, None, steps
+        self.f_ext[:] = 0.0
         try:
             with silence():
                 self.lmp.command(f"timestep {dt:.17g}")
@@ -239,36 +241,36 @@ class Particle(ABC):
             )
         self._end_chunk()
 
-    def _callback(self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray) -> None:
+    def _callback(self) -> None:
+        """Between LAMMPS's forces and its kick: stress and internal forces, `on_step`, and all forces to LAMMPS."""
         if self._on_step is None:
             return
-        try:  # an exception must not leave through ctypes: it would be printed and forgotten
-            if self.failure is None:
-                self.time += self.dt
-                self.steps += 1
-                self._steps_left -= 1
-                self._update_stress()
-            else:
-                self._skip_step()
-        except BaseException as problem:
-            self.failure = problem
+        self._try(self._move_on if self.failure is None else self._skip_step)
+        if self.failure is not None and not self.is_shared:
+            self.lmp.force_timeout()
+            return
+        self._try(self._on_step)
+        self._try(self._hand_over)
+
+    def _try(self, work: Callable[[], None]) -> None:
+        """Do work. What it raises is kept as `failure`: an exception that leaves through ctypes is printed and forgotten."""
         try:
-            if self.failure is not None and not self.is_shared:
-                self.lmp.force_timeout()
-                return
-            self.f_ext[:] = 0.0
-            self._on_step()
+            work()
         except BaseException as problem:
             self.failure = self.failure or problem
-        try:
-            self._add_inertia()
-            if self.failure is None:
-                work, p = np.zeros(PARTS), self.points
-                together(motion.book, self.n, self.dt, p.f_old, p.f, p.v, work)
-                self.internal_work -= float(work.sum())
-                f_out[:] = self.f_ext
-        except BaseException as problem:
-            self.failure = self.failure or problem
+
+    def _move_on(self) -> None:
+        self.time += self.dt
+        self.steps += 1
+        self._steps_left -= 1
+        self._update_stress()
+
+    def _hand_over(self) -> None:
+        self._add_inertia()
+        if self.failure is None:
+            work, p = np.zeros(PARTS), self.points
+            together(motion.book, self.dt, p.f_old, p.f, p.v, self.f_ext, self._f_out, work)
+            self.internal_work -= float(work.sum())
 
     @abstractmethod
     def _update_stress(self) -> None:
@@ -283,7 +285,7 @@ class Particle(ABC):
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
 
     def _end_chunk(self) -> None:
-        """Book losses after the last step of a `run`; nothing in an engine that does not know its losses."""
+        """Book plastic work and losses after the last step of a `run`; nothing in an engine that does so in each step."""
         return
 
     def _add_inertia(self) -> None:
@@ -323,21 +325,27 @@ class Particle(ABC):
             place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try more points, or a smaller time step"
 
+    def _summed(self) -> np.ndarray:
+        """The sums (6,) of `law.add_up`, between runs; the last is the largest."""
+        parts, p = np.zeros((PARTS, 6)), self.points  # LAMMPS has added f_ext to f
+        together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)
+        return np.append(parts[:, :5].sum(axis=0), parts[:, 5].max())
+
     def kinetic(self) -> float:
-        """Kinetic energy in J (between runs): sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work."""
-        half_kick = (0.5 * self.dt / self.mass)[:, None] * (self.points.f)  # LAMMPS has added f_ext to f
-        return 0.5 * float(
-            self.mass
-            @ (np.einsum("ai,ai->a", self.points.v, self.points.v) - np.einsum("ai,ai->a", half_kick, half_kick))
-        )
+        """Kinetic energy in J (between runs)."""
+        return float(self._summed()[0])
 
     def momentum(self) -> np.ndarray:
         """Linear momentum (3,), kg m/s."""
-        return self.mass @ self.points.v
+        return self._summed()[2:5]
 
     def elastic(self) -> float:
         """Recoverable energy in J."""
-        return float(k.stored_energy(self.law, self.volume, self._state) - self.sums[1])
+        return self._recoverable(float(self._summed()[1]))
+
+    def _recoverable(self, stored: float) -> float:
+        """Recoverable energy, J, of the energy that stresses hold: without the heat in it."""
+        return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
@@ -348,13 +356,10 @@ class Particle(ABC):
     def totals(self) -> PointTotals:
         """Sums and extremes over these points; raises as `stable_dt` does."""
         plastic, _, viscosity, hourglass = self.sums.tolist()
-        dt, fastest = (
-            self.stable_dt(),
-            float(np.sqrt(np.max(np.einsum("ij,ij->i", self.points.v, self.points.v), initial=0.0))),
-        )
+        dt, (kinetic, stored, *momentum, square) = self.stable_dt(), self._summed().tolist()
         return PointTotals(
-            dt, self.stretch_min, fastest, self.kinetic(), self.elastic(), self.internal_work, plastic, viscosity, hourglass,
-            self.momentum(),
+            dt, self.stretch_min, square**0.5, kinetic, self._recoverable(stored), self.internal_work, plastic, viscosity, hourglass,
+            np.array(momentum),
         )  # fmt: skip
 
     def get(self, name: str) -> object:

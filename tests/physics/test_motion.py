@@ -19,9 +19,11 @@ def test_the_work_of_a_step_is_that_of_the_mean_forces(threads: int) -> None:
     expected = DT * float(np.sum(0.5 * (f_old + f) * v))
     with threads_of(threads):
         together(motion.add_up, N, DT, f_old, f, v, more, total, added)
-        together(motion.book, N, DT, f_old, f, v, booked)
+        together(motion.book, DT, f_old, f, v, taken := more.copy(), handed := np.zeros((N, 3)), booked)
     assert booked.sum() == pytest.approx(expected, rel=1e-10)
     assert np.array_equal(booked, added)
     assert np.count_nonzero(booked) == 3
     assert np.array_equal(total, f + more)
     assert np.array_equal(f_old, f)
+    assert np.array_equal(handed, more)
+    assert not taken.any()
