@@ -28,11 +28,8 @@ def add(commands: Commands) -> None:
 def add_to_run(option: Option) -> None:
     """The options of `run` that choose the resolution."""
     option("--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"')
-    option(
-        "--accuracy",
-        metavar="PERCENT",
-        help='choose the resolution for this error of the splat\'s shape, as forecast: "2%%"',
-    )
+    text = 'choose the resolution for this error of the splat\'s shape, as forecast: "2%%"'
+    option("--accuracy", metavar="PERCENT", help=text)
     option("--spread", choices=("strength", "friction"),
            help="compute the scene with the other strength sets of its metals, or without friction and with the greatest, too, and"
            " print the range")  # fmt: skip
@@ -109,11 +106,9 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 
 
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
-    """The scene with the resolution that was asked for, and a line about it.
-
-    within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises ColdsprayError for text
-    that is no time or percentage, AccuracyError where no resolution will do.
-    """
+    """The scene with the resolution that was asked for, and a line about it. within, accuracy: as on the command line; with both, the
+    accuracy is met if there is time for it. Raises ColdsprayError for text that is no time or percentage, AccuracyError where no
+    resolution will do."""
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan
@@ -132,8 +127,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0
 
     if asked is not None:
-        needed_points = round(refinement.points_for(asked) * largest / last)
-        if needed_points > MOST:
+        if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
             raise AccuracyError(
                 f"--accuracy {accuracy} cannot be reached: the error of the shape at {MOST} points, the most allowed, is about"
@@ -157,11 +151,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
             low, high = (middle, high) if takes(middle) <= limit else (low, middle)
         points = high if takes(high) <= limit else low
     resolved = at_points(scene, points)
-    off = 100.0 * max(refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))[key] for key in SHAPE)
-    duration_text = f", about {duration(takes(points))} here" if pace else ""
+    forecast = refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))
+    text = f"resolution chosen: {points} points" + (f", about {duration(takes(points))} here" if pace else "")
+    text += f"; shape within {100.0 * max(forecast[key] for key in SHAPE):.2g} %, a forecast"
     given = [f"resolution.{key}" for key in ("spacing", "element_size") if dict(scene.resolution)[key] is not None]
-    instead = f"; in place of {' and '.join(given)} of the scene" if given else ""
-    return (
-        resolved,
-        f"resolution chosen: {points} points{duration_text}; shape within {off:.2g} %, a forecast" + instead,
-    )
+    return resolved, text + (f"; in place of {' and '.join(given)} of the scene" if given else "")

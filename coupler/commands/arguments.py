@@ -1,8 +1,10 @@
 """Values of command-line options, checked where they are read."""
 
 import argparse
+import contextlib
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,22 +30,17 @@ def path(text: str) -> Path:
 
 def seconds(text: str) -> float:
     """A positive, finite number of seconds."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above zero")
-    return value
+    with contextlib.suppress(ValueError):
+        if 0.0 < (value := float(text)) < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above zero")
 
 
 def quantity(
     option: str, dimension: str, positive: bool = True, form: str = "{}", limits: tuple[str, str] | None = None
 ) -> Callable[[str], float]:
-    """The type of an option that takes text with a unit, such as "300 ns": a function to SI, which raises ColdsprayError.
-
-    form: what the text is put into before it is read; limits: the least and the greatest value, as text.
-    """
+    """The type of an option that takes text with a unit, such as "300 ns": a function to SI, which raises ColdsprayError. form: what
+    the text is put into before it is read; limits: the least and the greatest value, as text."""
 
     def read(text: str) -> float:
         from ..units import UnitError, parse
@@ -74,11 +71,8 @@ def add_scene(option: Option) -> None:
     option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
            help="a key of the scene in place of the file's, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
            " 'particle[2].material=Ti'; KEY= removes the key")  # fmt: skip
-    option(
-        "--preset",
-        metavar="NAME",
-        help="draft, standard or fine, in place of the scene's preset, spacing and element_size",
-    )
+    text = "draft, standard or fine, in place of the scene's preset, spacing and element_size"
+    option("--preset", metavar="NAME", help=text)
 
 
 def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
@@ -138,17 +132,14 @@ def share(text: str, option: str) -> float:
     """A percentage such as "2%" as a share. Raises StoreError with what was expected."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        raise StoreError(
-            f'{option} {text!r} is not an uncertainty: give a percentage above 0 and up to 100, such as "2%"'
-        )
+        expected = 'give a percentage above 0 and up to 100, such as "2%"'
+        raise StoreError(f"{option} {text!r} is not an uncertainty: {expected}")
     return float(match.group(1)) / 100.0
 
 
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
     """The folder of a study of a scene, --out or runs/<verb>-<scene name>, with the scene in it. names: of the files of the study.
-
-    Raises StoreError if the folder holds the study of another scene.
-    """
+    Raises StoreError if the folder holds the study of another scene."""
     from ..files.inputs import parse_toml, read_toml
     from ..files.outputs import claim_folder
 
@@ -161,6 +152,11 @@ def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names
     elif read_toml(kept) != parse_toml(text):
         raise StoreError(f"{out} holds the study of another scene: name another folder with --out, or remove it")
     return out
+
+
+def remake(arguments: argparse.Namespace) -> str:
+    """How to remake a table: the command as it was given."""
+    return f"remake: coldspray {shlex.join(arguments.words)}"
 
 
 def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:

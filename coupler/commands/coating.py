@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(
-        commands, "coating", run, "measure a coating: thickness, roughness, porosity, stress over depth"
-    )
+    text = "measure a coating: thickness, roughness, porosity, stress over depth"
+    option = add_command(commands, "coating", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
     option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
     option("--window", type=quantity("--window", "length"), metavar="L",
@@ -85,10 +84,12 @@ def describe(measures: "CoatingMeasures") -> list[str]:
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]
     for row in measures.layers:
-        name = f"{row['layer']}" if row["layer"] else "substrate"
-        table.append(
-            f"{name:9} {row['splats']:7d} {row['eps_p_mean']:14.2f} {row['eps_p_p99']:6.2f} {row['eps_p_max']:6.2f}"
-            f" {row['T_mean']:13.0f} {row['T_p99']:6.0f} {row['T_max']:6.0f}"
-            f" {row['von_mises_mean'] * 1e-6:23.0f} {row['von_mises_p99'] * 1e-6:6.0f} {row['von_mises_max'] * 1e-6:6.0f}"
-        )
+        table.append(f"{row['layer'] or 'substrate':<9} {row['splats']:7d}")
+        for name, width, form, factor in (
+            ("eps_p", 14, ".2f", 1.0),
+            ("T", 13, ".0f", 1.0),
+            ("von_mises", 23, ".0f", 1e-6),
+        ):
+            mean, tail, most = (factor * row[f"{name}_{kind}"] for kind in ("mean", "p99", "max"))
+            table[-1] += f" {mean:{width}{form}} {tail:6{form}} {most:6{form}}"
     return table

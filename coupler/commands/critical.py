@@ -1,23 +1,12 @@
 """The command `coldspray critical`: the critical velocity of a scene, bracketed by runs."""
 
 import argparse
-import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import (
-    Commands,
-    add_jobs,
-    add_study,
-    at_least_one,
-    jobs_of,
-    quantity,
-    scene_of,
-    share,
-    study_folder,
-    teller,
-)
+from . import arguments as options
+from .arguments import Commands, jobs_of, quantity, remake, scene_of, share, study_folder, teller
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
@@ -31,19 +20,20 @@ _MOST_PLACEMENTS = 100
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     text = "bracket the velocity from which a particle with cohesive bonds sticks"
-    option = add_study(commands, "critical", run, text)
+    option = options.add_study(commands, "critical", run, text)
     option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
     for name, text in (("low", "lowest"), ("high", "highest")):
         option(f"--{name}", type=quantity(f"--{name}", "velocity", limits=_LIMITS), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
-    option("--repeat", type=partial(at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
+    option("--repeat", type=partial(options.at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
            help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
-    add_jobs(option, "runs at a time")
+    options.add_jobs(option, "runs at a time")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Search the critical velocity of a scene, or continue it, and draw. Returns the exit code."""
     from ..errors import StoreError
+    from ..plan.planning import plan
     from ..plan.refinement import at_points, companions
     from ..studies import critical
     from ..studies.critical_figure import draw
@@ -56,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not limits[0] < limits[1]:
         raise StoreError(f"--low {limits[0]:g} m/s must be less than --high {limits[1]:g} m/s")
     out, say = study_folder(arguments, scene, "critical", _NAMES), teller(arguments.quiet)
-    about = f"remake: coldspray critical {shlex.join(_given(arguments, out))} (finished runs are not computed again)"
+    about = f"{remake(arguments)} (finished runs are not computed again)"
 
     def search(at: "Scene", folder: Path) -> "tuple[Bracket, list[Row]]":
         return critical.search(at, folder, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
@@ -81,23 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(resolution := critical.resolution_words(scene, bracket, coarser))
     if coarser:
         write_rows(out / critical.TABLE, critical.COLUMNS, rows, f"{about}\n{bracket.words}\n{resolution}")
-    print(critical.verdict_words(bracket, critical.formula_of(scene)))
+    print(critical.verdict_words(bracket, plan(scene).impact.formula))
     if not arguments.quiet:
         print(f"table in {out / critical.TABLE}\nfigure in {out / 'critical.png'}")
     return 0
-
-
-def _given(arguments: argparse.Namespace, out: Path) -> list[str]:
-    """The scene and the options of a search that decide its runs."""
-    options = [f"--set={key}={'' if value is None else value}" for key, value in arguments.settings]
-    options += [f"--preset={arguments.preset}"] if arguments.preset is not None else []
-    options += [
-        f"--{name}={value:.10g} m/s" for name in ("low", "high") if (value := vars(arguments)[name]) is not None
-    ]
-    return [
-        str(arguments.scene),
-        f"--out={out}",
-        f"--within={arguments.within}",
-        f"--repeat={arguments.repeat}",
-        *options,
-    ]

@@ -1,13 +1,12 @@
 """The command `coldspray gas`: impact velocity and temperature over particle diameters, as a table, a file, a picture."""
 
 import argparse
-import shlex
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .arguments import Commands, Option, add_command, add_force, path
+from .arguments import Commands, Option, add_command, add_force, path, remake
 
 if TYPE_CHECKING:
     from ..physics.materials import Material
@@ -73,9 +72,7 @@ class Setup(NamedTuple):
 
 def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
     """Read the conditions, and claim the files of --csv and --png. command, sizes: its name and its option of diameters, for messages.
-
-    Raises SceneError with every problem.
-    """
+    Raises SceneError with every problem."""
     from ..errors import SceneError
     from ..files.outputs import claim_file
     from ..physics import materials
@@ -92,10 +89,9 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
             claim_file(out, (suffix,), [arguments.library] if arguments.library else [], arguments.force)
     options = {field: value for field in _FIELDS if (value := vars(arguments)[field]) is not None}
     conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
-    problems = []
-    for field, problem in field_problems:
-        value = f' "{options[field][:40]}"' if field in options else ""
-        problems.append(f"{_option(field)}{value} {problem}")
+    given = {field: f' "{text[:40]}"' for field, text in options.items()}
+    names = {field: f"--{field.replace('_', '-')}" for field, _ in field_problems} | {"kind": "--gas"}
+    problems = [f"{names[field]}{given.get(field, '')} {problem}" for field, problem in field_problems]
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
     for option in ("material", "substrate"):
@@ -110,23 +106,9 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
             problems.append(f'{sizes} "{text[:40]}" {error}')
     if problems or conditions is None:
         raise SceneError(problems, command)
-    flow, law, T = (
-        scene_gas.flow(conditions, nozzles[conditions.nozzle]),
-        DRAG_LAWS[conditions.drag],
-        conditions.powder_temperature,
-    )
+    flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), DRAG_LAWS[conditions.drag]
+    T = conditions.powder_temperature
     return Setup(flow, metals, diameters, lambda metal, D: fly_together(flow, metal, D, T, law))
-
-
-def given(arguments: argparse.Namespace) -> list[str]:
-    """The options as given, for the command that remakes a table."""
-    values = {field: vars(arguments)[field] for field in (*_FIELDS, "material", "library", "csv")}
-    options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
-    return [*options, *(["--bow-shock"] if arguments.bow_shock else [])]
-
-
-def _option(field: str) -> str:
-    return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
 def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
@@ -201,7 +183,7 @@ def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[floa
     from ..files.outputs import MARK
     from ..studies.table import write_rows
 
-    head = f"{MARK} gas; remake: coldspray gas {shlex.join([*given(arguments), '--diameter', *arguments.diameter])}"
+    head = f"{MARK} gas; {remake(arguments)}"
     columns = ("diameter_um", "exit_velocity_m_s", "velocity_m_s", "temperature_K", "flight_time_ms")
     rows = [
         (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)

@@ -18,23 +18,9 @@ from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
 from . import accuracy, coating, critical, gas, materials, mesh, new, sweep, watch, window
+from . import arguments as options
 from . import map as maps
-from .arguments import (
-    Option,
-    add_command,
-    add_force,
-    add_jobs,
-    add_quiet,
-    add_scene,
-    add_verbose,
-    at_least_one,
-    jobs_of,
-    path,
-    quantity,
-    scene_of,
-    seconds,
-    working,
-)
+from .arguments import Option
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -49,6 +35,7 @@ _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
 _PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals that lack these
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more memory"
+_FURTHER = "go on until it is decided: coldspray resume {} --until TIME"
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
@@ -72,6 +59,7 @@ def main(argv: list[str] | None = None) -> int:
                 parser.print_help()
             return 2
         arguments = parser.parse_args(words)
+        arguments.words = words
         with bounded_memory():
             code = arguments.command(arguments)
         sys.stdout.flush()
@@ -145,67 +133,67 @@ def missing_library(error: Exception) -> str | None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = _Parser(
-        prog="coldspray", description="Cold spray impacts: SPH particle, FE target."
-    )
+    about = "Cold spray impacts: SPH particle, FE target."
+    parser: argparse.ArgumentParser = _Parser(prog="coldspray", description=about)
     text = "print the version and exit"
     parser.add_argument("--version", action="version", version=f"coldspray {__version__}", help=text)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    option = add_command(commands, "check", _check, "print what a scene would compute, and its cost; run nothing")
-    add_scene(option)
-    add_verbose(option, "the number that decides each effect, and what leaving it out would change")
+    text = "print what a scene would compute, and its cost; run nothing"
+    option = options.add_command(commands, "check", _check, text)
+    options.add_scene(option)
+    options.add_verbose(option, "the number that decides each effect, and what leaving it out would change")
     option("--recalibrate", action="store_true", help="time this machine anew for the estimate")
-    option = add_command(commands, "run", _run, "compute a scene")
-    add_scene(option)
-    option("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
+    option = options.add_command(commands, "run", _run, "compute a scene")
+    options.add_scene(option)
+    option("--out", type=options.path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     option("--force", action="store_true", help="replace a finished run, or files of the same names")
     accuracy.add_to_run(option)
     _add_running(option)
-    option = add_command(commands, "report", _report, "write all about a run as one HTML page")
-    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    option("--out", type=path, metavar="FILE", help="the page (default: DIR/report.html)")
-    add_force(option)
-    option = add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
-    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    option(
-        "--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
-    )
+    option = options.add_command(commands, "report", _report, "write all about a run as one HTML page")
+    option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
+    option("--out", type=options.path, metavar="FILE", help="the page (default: DIR/report.html)")
+    options.add_force(option)
+    option = options.add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
+    option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
+    text = "an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
+    option("--out", type=options.path, metavar="FILE", help=text)
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
     option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
-    add_force(option)
-    option = add_command(commands, "export", _export, "write the fields for tools that cannot read VTKHDF in time")
-    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    options.add_force(option)
+    text = "write the fields for tools that cannot read VTKHDF in time"
+    option = options.add_command(commands, "export", _export, text)
+    option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     option("--format", choices=("pvd", "xdmf"), default="pvd",
            help="pvd (default): a .vtu file for each step, and their times; xdmf: all steps in two files for each domain")  # fmt: skip
-    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/<format>)")
-    add_force(option)
-    option = add_command(commands, "compare", _compare, "print runs side by side and draw them")
-    option("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
-    option("--out", type=path, default=Path("comparison.png"), metavar="FILE",
+    option("--out", type=options.path, metavar="DIR", help="where the files go (default: DIR/<format>)")
+    options.add_force(option)
+    option = options.add_command(commands, "compare", _compare, "print runs side by side and draw them")
+    option("runs", type=options.path, nargs="+", metavar="DIR", help="folders of runs, two or more")
+    option("--out", type=options.path, default=Path("comparison.png"), metavar="FILE",
            help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
-    add_force(option)
+    options.add_force(option)
     text = "go on with an unfinished run, or one that is undecided"
-    option = add_command(commands, "resume", _resume, text)
-    option("folder", type=path, metavar="DIR", help="folder of the run")
-    option("--until", type=quantity("--until", "time"), metavar="TIME",
+    option = options.add_command(commands, "resume", _resume, text)
+    option("folder", type=options.path, metavar="DIR", help="folder of the run")
+    option("--until", type=options.quantity("--until", "time"), metavar="TIME",
            help='time to which its last impact goes on, such as "300 ns" (default: as long again as it has had, where that was its'
            " time limit; a run that is at its own end, and undecided, goes on with --until only)")  # fmt: skip
     _add_running(option)
     for command in (new, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
-    option = add_command(commands, "completion", _completion, "print the completion script of a shell")
+    option = options.add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
     return parser
 
 
 def _add_running(option: Option) -> None:
     """The options of `run` and `resume`."""
-    add_quiet(option)
-    add_verbose(option, "all measures at the end, not only those that converge")
-    option("--threads", type=at_least_one, metavar="N",
+    options.add_quiet(option)
+    options.add_verbose(option, "all measures at the end, not only those that converge")
+    option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
-    add_jobs(option, "impacts of a batch at a time, which share the threads; `check` prints the batches")
-    option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
+    options.add_jobs(option, "impacts of a batch at a time, which share the threads; `check` prints the batches")
+    option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
     option("--no-error", action="store_true", help="do not measure the error: compute no coarser runs beside this one")
@@ -217,14 +205,10 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():
             self.exit(2)
-        if unknown := re.fullmatch(
-            r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message, re.DOTALL
-        ):
-            known = re.findall(r"[\w-]+", unknown[2])
-            self.exit(
-                2,
-                f"coldspray: there is no command {unknown[1]!r}{nearest(unknown[1], known)}; coldspray --help lists all\n",
-            )
+        choice = r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)"
+        if unknown := re.fullmatch(choice, message, re.DOTALL):
+            hint = nearest(unknown[1], re.findall(r"[\w-]+", unknown[2]))
+            self.exit(2, f"coldspray: there is no command {unknown[1]!r}{hint}; coldspray --help lists all\n")
         super().error(message)
 
 
@@ -232,7 +216,7 @@ def _check(arguments: argparse.Namespace) -> int:
     from ..plan.planning import plan
     from ..plan.text import describe
 
-    planned = plan(scene_of(arguments))
+    planned = plan(options.scene_of(arguments))
     pace = accuracy.here(arguments.recalibrate)
     print(describe(planned, accuracy.forecast(planned, pace, arguments.verbose), brief=not arguments.verbose))
     return 0
@@ -241,7 +225,7 @@ def _check(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from ..files.outputs import RUN_FILES, check_folder, keep_inputs
 
-    scene = scene_of(arguments)
+    scene = options.scene_of(arguments)
     out = arguments.out or Path("runs") / scene.name
     check_folder(out)
     keep_inputs(out, RUN_FILES, [arguments.scene])
@@ -256,7 +240,7 @@ def _run(arguments: argparse.Namespace) -> int:
     computed = partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error)
     code = _compute(arguments, out, computed)
     if arguments.spread and code in (0, _UNDECIDED) and is_first_rank():
-        accuracy.spread_of(arguments.spread, scene, out, jobs_of(arguments), arguments.quiet)
+        accuracy.spread_of(arguments.spread, scene, out, options.jobs_of(arguments), arguments.quiet)
     return code
 
 
@@ -268,15 +252,10 @@ def _resume(arguments: argparse.Namespace) -> int:
         resume(arguments.folder, quiet=True)  # completes the files of a run that was ended before
         if is_first_rank():
             at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), its verdict is undecided"
-            print(f"{at}; {_further(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
+            print(f"{at}; {_FURTHER.format(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
         return 0
     more = {"until": arguments.until, "skip_failed": arguments.skip_failed, "error": not arguments.no_error}
     return _compute(arguments, arguments.folder, partial(resume, arguments.folder, **more))
-
-
-def _further(out: Path) -> str:
-    """Message: how to continue a run that is at its own end without a verdict."""
-    return f"go on until it is decided: coldspray resume {out} --until TIME"
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
@@ -286,13 +265,13 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
+    numbers = {
+        "threads": arguments.threads,
+        "checkpoint_every": arguments.checkpoint,
+        "jobs": options.jobs_of(arguments),
+    }
     try:
-        result = work(
-            progress=progress,
-            threads=arguments.threads,
-            checkpoint_every=arguments.checkpoint,
-            jobs=jobs_of(arguments),
-        )
+        result = work(progress=progress, **numbers)
     except KeyboardInterrupt as interrupt:
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
         saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # whole, but for its error
@@ -307,7 +286,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
 
         print(screen(result, arguments.verbose))
         if result.at_own_end:
-            print(_further(out))
+            print(_FURTHER.format(out))
         print(f"results in {out}{'' if arguments.verbose else f'; all measures: coldspray report {out}'}")
     return 0 if result.undecided is None else _UNDECIDED
 
@@ -320,7 +299,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / "report.html"
     claim_file(out, (".html", ".htm"), [arguments.run], arguments.force)
-    with reading(arguments.run), working("reading the run") as progress:
+    with reading(arguments.run), options.working("reading the run") as progress:
         page = write_report(result, out, progress.stage, lines_of(result))
     print(f"page in {page}")
     return 0
@@ -334,7 +313,7 @@ def _animate(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     out = arguments.out or arguments.run / f"{arguments.field}{SUFFIXES[ffmpeg() is None]}"
     claim_file(out, SUFFIXES, [arguments.run], arguments.force)
-    with reading(arguments.run), working("cutting the bodies at each step") as progress:
+    with reading(arguments.run), options.working("cutting the bodies at each step") as progress:
         film = animate(result, out, arguments.field, arguments.fps, progress.stage)
     print(f"film in {film}")
     return 0
@@ -347,9 +326,9 @@ def _export(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / arguments.format
     claim_folder(out, "export", NAMES, [arguments.run], arguments.force)
-    with reading(arguments.run), working("reading the run") as progress:
+    with reading(arguments.run), options.working("reading the run") as progress:
         written = write_fields(result, out, arguments.format, progress.stage)
-    print(f"{', '.join(path.name for path in written)} in {out}")
+    print(f"{', '.join(file.name for file in written)} in {out}")
     return 0
 
 
@@ -363,26 +342,26 @@ def _compare(arguments: argparse.Namespace) -> int:
     check_count(len(arguments.runs))
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
     try:
-        with reading("the runs"), working("drawing the runs"):
+        with reading("the runs"), options.working("drawing the runs"):
             results = [Result(folder) for folder in arguments.runs]
             table = comparison_table(results)
             compare(results, arguments.out)
     except ColdsprayError:  # leave out the runs that cannot be compared with themselves
-        sound, problems = [], []
+        sound, problems = [], dict[str, None]()
         for folder in arguments.runs:
             try:
                 with reading(folder):
-                    result = Result(folder)
-                    comparison_table([result, result])
-                    comparison_picture([result, result])
-                sound.append(result)
+                    pair = [Result(folder)] * 2
+                    comparison_table(pair)
+                    comparison_picture(pair)
+                sound += pair[:1]
             except ColdsprayError as error:
-                problems.append(str(error))
+                problems[f"left out: {error}"] = None
         if len(sound) < 2 or not problems:
             raise
         table = comparison_table(sound)
         compare(sound, arguments.out)
-        print(*(f"left out: {problem}" for problem in dict.fromkeys(problems)), sep="\n", file=sys.stderr)
+        print(*problems, sep="\n", file=sys.stderr)
     Console().print(table)
     print(f"comparison in {arguments.out}")
     return 0
@@ -395,7 +374,7 @@ def _completion(arguments: argparse.Namespace) -> int:
     commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     for command in commands.choices.values():
         for action in command._actions:
-            if action.type is path:
+            if action.type is options.path:
                 action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE
     print(shtab.complete(parser, arguments.shell))
     return 0

@@ -18,9 +18,8 @@ DRAWN = QUANTITIES[:4]
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "map", run, "draw maps of a sweep, or of any folder of runs")
-    option(
-        "folder", type=path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
-    )
+    text = "folder of a sweep, finished or not, or any folder of runs' folders"
+    option("folder", type=path, metavar="DIR", help=text)
     option("--show", nargs="+", choices=QUANTITIES, default=DRAWN, metavar="QUANTITY",
            help=f"what to draw, of {', '.join(QUANTITIES)} (default: {', '.join(DRAWN)})")  # fmt: skip
     option("--axes", nargs="+", default=(), metavar="KEY",

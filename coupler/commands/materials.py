@@ -45,9 +45,8 @@ def _listed(entries: "list[Entry]") -> list[str]:
         for i, metal in enumerate(known.materials):
             law = metal.strength
             lines.append(f"{'' if i else metal.name:9} {law.set:19} {law.law:22} {law.fitted.words}")
-    others = "; ".join(
-        f"{known.material.name} is also {', '.join(known.aliases)}" for known in entries if known.aliases
-    )
+    named = [known for known in entries if known.aliases]
+    others = "; ".join(f"{known.material.name} is also {', '.join(known.aliases)}" for known in named)
     return [
         *lines,
         "",
@@ -61,13 +60,11 @@ def _listed(entries: "list[Entry]") -> list[str]:
 def _explained(known: "Entry") -> list[str]:
     """Description of one metal: numbers, sources, strength sets, flow stresses."""
     metal, show = known.material, _value
+    moduli = {"G": metal.G, "K": metal.K, "E": metal.E}
     lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]
     for name, text in (
         ("density", f"{metal.rho:g} kg/m^3"),
-        (
-            "elasticity",
-            f"G {metal.G / 1e9:.4g} GPa, K {metal.K / 1e9:.4g} GPa, E {metal.E / 1e9:.4g} GPa, nu {metal.nu:.3f}",
-        ),
+        ("elasticity", f"{', '.join(f'{k} {v / 1e9:.4g} GPa' for k, v in moduli.items())}, nu {metal.nu:.3f}"),
         ("shock", f"U = {metal.c0:g} m/s + {metal.s:g} u, Gamma0 {metal.Gamma0:g}"),
         ("melting", f"{metal.T_m:g} K"),
         ("cp", show(metal.cp, "J/(kg K)")),
@@ -91,10 +88,8 @@ def _set(metal: "Material") -> list[str]:
     law = metal.strength
     parameters = LAWS[law.law].parameters
     shown = [f"{key} {rounded(law[key], p.unit, 6) if p.unit else f'{law[key]:g}'}" for key, p in parameters.items()]
-    stresses = [
-        f"{metal.flow_stress(*state) / 1e6:.0f} MPa at {state[0]:g}, {state[1]:.0e} 1/s, {state[2]:.0f} K"
-        for state in _STATES
-    ]
+    states = ((metal.flow_stress(*state) / 1e6, *state) for state in _STATES)
+    stresses = [f"{stress:.0f} MPa at {eps_p:g}, {rate:.0e} 1/s, {T:.0f} K" for stress, eps_p, rate, T in states]
     return [
         f"{law.set}: {LAWS[law.law].about}",
         *_wrapped("law", f"{law.law}: {', '.join(shown)}; melting {metal.T_m:g} K"),

@@ -29,9 +29,8 @@ _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "mesh", run, "turn points into tetrahedra: of a run, or of any file of points")
-    option(
-        "cloud", type=path, metavar="CLOUD", help="folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
-    )
+    text = "folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
+    option("cloud", type=path, metavar="CLOUD", help=text)
     option("--out", type=path, metavar="FILE", help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)")
     add_force(option)
     option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
@@ -41,11 +40,8 @@ def add(commands: Commands) -> None:
         ("--unit", "1 {}", None, "of the coordinates in a file: mm, um, nm, m (default: as its columns say, or m)"),
     ):
         option(name, type=quantity(name, "length", form=form), metavar="L", default=default, help=text)
-    option(
-        "--columns",
-        metavar="NAMES",
-        help="of a text, in their order, such as 'x y z T'; - leaves one out (default: sensed)",
-    )
+    text = "of a text, in their order, such as 'x y z T'; - leaves one out (default: sensed)"
+    option("--columns", metavar="NAMES", help=text)
     option("--step", type=int, metavar="N", default=-1, help="step of a run (default: the last)")
 
 
@@ -122,9 +118,7 @@ def of_file(
     path: Path, spacing: float | None = None, unit: float | None = None, columns: str | None = None
 ) -> tuple["Cloud", list[str]]:
     """The points of a file in units of `unit` m, with the fields of known names; and remarks. columns: names of the columns of a text.
-
-    Raises InputError if it cannot be read or has no points, SplatError if it is a surface or no body can be made of it.
-    """
+    Raises InputError if it cannot be read or has no points, SplatError if it is a surface or no body can be made of it."""
     import numpy as np
 
     from ..core.records import rows_of
@@ -154,9 +148,8 @@ def of_file(
     if spacing is None:
         spacing = estimated_spacing(x) if volume is None else float(np.cbrt(np.median(volume)))
         if volume is None:
-            notes.append(
-                f"spacing estimated: {rounded(spacing, 'um')} (give --spacing if it is known: the volume depends on it)"
-            )
+            hint = "give --spacing if it is known: the volume depends on it"
+            notes.append(f"spacing estimated: {rounded(spacing, 'um')} ({hint})")
         if spacing > _MOST_SPACING:
             notes.append(f"the points are {spacing:.3g} m apart: give the unit of the file, such as --unit um")
     if volume is None:
@@ -181,9 +174,8 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
             raise SplatError(f"the unit of x, y and z {problem}; or give --unit") from None
         return given
     if given is not None and given != named:
-        raise SplatError(
-            f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
-        )
+        text = f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
+        raise SplatError(text)
     if given is None:
         notes.append(f"coordinates in {of_file}, as their names say")
     return named
@@ -201,19 +193,16 @@ def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
 
 
 def estimated_spacing(x: "np.ndarray") -> float:
-    """Edge of the cube that each of points x (n,3) has to itself, from the distances to neighbours; m.
-
-    Half the points see the ball that the k-th neighbour touches filled with k points and half of it; averaged over k, and
-    measured where neighbours are densest, inside the body. Within 3 % for lattices and scattered points. Raises SplatError.
-    """
+    """Edge of the cube that each of points x (n,3) has to itself, from the distances to neighbours; m. Half the points see the ball
+    that the k-th neighbour touches filled with k points and half of it; averaged over k, and measured where neighbours are densest,
+    inside the body. Within 3 % for lattices and scattered points. Raises SplatError."""
     import numpy as np
     from scipy.spatial import cKDTree
 
     if not np.isfinite(x).all():
         bad = np.flatnonzero(~np.isfinite(x).all(axis=1))
-        raise SplatError(
-            f"x of {len(bad)} points is not a number (first: point {bad[0]}): remove or correct these points"
-        )
+        text = f"x of {len(bad)} points is not a number (first: point {bad[0]}): remove or correct these points"
+        raise SplatError(text)
     k = np.arange(8, 25)
     if len(x) <= k[-1]:
         raise SplatError(f"the cloud has {len(x)} points, too few for a body: give a cloud with more points")
@@ -237,9 +226,8 @@ def write(path: Path, splat: "Splat") -> None:
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])
     tets = np.concatenate([body.tets + at for body, at in zip(splat.bodies, offsets, strict=False)])
-    cells: dict[str, np.ndarray] = {
-        "body": np.repeat(np.arange(len(splat.bodies)), [len(b.tets) for b in splat.bodies])
-    }
+    numbers = np.arange(len(splat.bodies))
+    cells: dict[str, np.ndarray] = {"body": np.repeat(numbers, [len(body.tets) for body in splat.bodies])}
     nodes: dict[str, np.ndarray] = {}
     gmsh = path.suffix.lower() == ".msh"
     for into, names in ((cells, ("stress", *rows_of(MetalState), "J")), (nodes, ("velocity", "energy"))):

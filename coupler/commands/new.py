@@ -4,6 +4,7 @@ import argparse
 import json
 import re
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 
 from ..errors import ColdsprayError
@@ -100,12 +101,6 @@ def _points(name: str) -> str:
     """A lens of points on a cubic lattice, 34 x 34 x 12 um, as a table in um."""
     step, (a, c) = 1.5, (17.0, 6.0)
     reach = [[step * (k + 0.5) for k in range(-n, n)] for n in (12, 12, 4)]
-    points = [
-        (x, y, z)
-        for x in reach[0]
-        for y in reach[1]
-        for z in reach[2]
-        if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0
-    ]
+    points = [(x, y, z) for x, y, z in product(*reach) if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0]
     head = f"# coldspray mesh {name}.csv --unit um --spacing {step}um\nx,y,z\n"
     return head + "".join(f"{x:.3f},{y:.3f},{z:.3f}\n" for x, y, z in points)

@@ -23,9 +23,8 @@ OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "sweep", run, "compute all points of a sweep; finished ones are kept")
-    option(
-        "sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
-    )
+    text = "file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
+    option("sweep", type=path, metavar="FILE", help=text)
     option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
     add_jobs(option, "runs at a time")
     option("--executor", default="processes", metavar="WHERE",
@@ -34,9 +33,8 @@ def add(commands: Commands) -> None:
     option("--slurm", type=_slurm_option, action="append", default=[], metavar="KEY=VALUE",
            help="of the Slurm jobs, may be repeated: cores=32 (runs at a time in a job; default 1), time=04:00:00 (default"
            " 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
-    option(
-        "--force", action="store_true", help="compute points anew whose scene is another one than that of the results"
-    )
+    text = "compute points anew whose scene is another one than that of the results"
+    option("--force", action="store_true", help=text)
     add_quiet(option)
 
 
@@ -138,9 +136,8 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     if measures:
         lines += ["", *_table(measures), _verdicts(rows), ""]
         distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
-        distribution.draw_spreads(
-            out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %"
-        )
+        heading = f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %"
+        distribution.draw_spreads(out / OUTPUTS[2], measures, heading)
         return [*lines, f"tables in {out / OUTPUTS[0]} and {OUTPUTS[1]}, figure in {OUTPUTS[2]}"]
     axes = f" --axes {' '.join(keys)}" if keys else ""
     return [*lines, f"table in {out / OUTPUTS[0]}; maps: coldspray map {out}{axes}"]

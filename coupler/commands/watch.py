@@ -2,7 +2,6 @@
 
 import argparse
 import time
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,12 +25,8 @@ _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(
-        commands,
-        "watch",
-        run,
-        "show a run while it is computed: measures, energies, time to go; writes nothing into its folder",
-    )
+    text = "show a run while it is computed: measures, energies, time to go; writes nothing into its folder"
+    option = add_command(commands, "watch", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run")
     option("--every", type=seconds, default=5.0, metavar="SECONDS", help="between two readings (default: 5)")
     option("--picture", type=path, metavar="FILE", help="a .png file for the section, drawn anew with each stored step")
@@ -54,7 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while not (result := Result(arguments.run)).finished:
             with reading(arguments.run):
-                text = state(result) + _coating(arguments.run, _impact(result))
+                text = state(result)
+                if (result.directory / "history.csv").is_file():
+                    text += _coating(arguments.run, int(result.history("impact")[-1:].sum()))
                 steps = min(len(result.times(domain)) for domain in ("particle", "surface", "target"))
                 if arguments.picture is not None and steps > drawn:
                     section_picture(result, arguments.picture)
@@ -81,14 +78,6 @@ def _coating(run: Path, impact: int) -> str:
     return f"\n  coating {coating_growth.line(coating_growth.latest(Result(run)))}" if impact > 1 else ""
 
 
-def _impact(result: "Result") -> int:
-    """The number of the impact that is computed; 0 before the first row of the history."""
-    if not (result.directory / "history.csv").is_file():
-        return 0
-    impacts = result.history("impact")
-    return int(impacts[-1]) if len(impacts) else 0
-
-
 def _written(path: Path) -> float:
     """When a file was written last; 0 for one that is gone, such as an earlier checkpoint."""
     try:
@@ -110,15 +99,13 @@ def state(result: "Result") -> str:
     lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
-    parts = {name: sum(history[column][-1] for column in _columns(name, history)) for name in _LEDGER}
+    parts = {}  # the column of a term, or the columns of both domains
+    for name in _LEDGER:
+        columns = [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
+        parts[name] = sum(history[column][-1] for column in columns)
     lines.append("  energy, % of the particle's at the start of the impact: " + ", ".join(
         f"{name} {100.0 * value / whole:.3g}" for name, value in parts.items() if abs(value) > 1e-4 * whole))  # fmt: skip
     return "\n".join(lines)
-
-
-def _columns(name: str, history: Mapping[str, object]) -> list[str]:
-    """The columns of a term of the ledger: its own, or the columns of both domains."""
-    return [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
 
 
 def _last_line(log: Path) -> str:

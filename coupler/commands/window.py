@@ -1,14 +1,13 @@
 """The command `coldspray window`: a spray's particles between critical and erosion velocity, and its deposition efficiency."""
 
 import argparse
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import __version__
 from ..measures import REBOUNDS, STICKS
 from . import gas
-from .arguments import Commands, add_command, add_force, path, share
+from .arguments import Commands, add_command, add_force, path, remake, share
 
 if TYPE_CHECKING:
     from ..physics.materials import Material
@@ -39,9 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     within, known = share(arguments.within, "--within"), gas.setup(arguments, "window", "--powder")
     small, median, large = known.diameters
     if not small <= median <= large:
-        raise SceneError(
-            [f"--powder {' '.join(arguments.diameter)}: give three diameters in ascending order, D10 D50 D90"], "window"
-        )
+        order = "give three diameters in ascending order, D10 D50 D90"
+        raise SceneError([f"--powder {' '.join(arguments.diameter)}: {order}"], "window")
     metal = known.metals[arguments.material]
     base = known.metals[arguments.substrate] if arguments.substrate is not None else None
     spray = window.spray(metal, base, (small, median, large), lambda D: known.fly(metal, D))
@@ -59,14 +57,11 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
     from ..spray.flight import melting
 
     ratio = spray.ratio
-    lines = [
-        f"  {metal.name + ' diameter':>16}  {'velocity':>9}  {'temperature':>11}  {'critical':>9}  velocity / critical"
-    ]
+    columns = f"{'velocity':>9}  {'temperature':>11}  {'critical':>9}  velocity / critical"
+    lines = [f"  {metal.name + ' diameter':>16}  {columns}"]
     for i in (len(ratio) // 10, len(ratio) // 2, len(ratio) - 1 - len(ratio) // 10):
-        lines.append(
-            f"  {spray.diameter[i] * 1e6:>13.3g} um  {spray.velocity[i]:>5.0f} m/s  {spray.temperature[i]:>9.0f} K"
-            f"  {spray.critical[i]:>5.0f} m/s  {ratio[i]:.2f}"
-        )
+        arrives = f"{spray.velocity[i]:>5.0f} m/s  {spray.temperature[i]:>9.0f} K"
+        lines.append(f"  {spray.diameter[i] * 1e6:>13.3g} um  {arrives}  {spray.critical[i]:>5.0f} m/s  {ratio[i]:.2f}")
     notes = melting(metal, spray.diameter.tolist(), spray.hottest.tolist(), spray.temperature.tolist())
     lines += ["", *(f"note: {note}" for note in notes), f"deposition efficiency {_efficiency(spray)}"]
     for word, factor in zip(("least", "greatest"), spray.extremes(within), strict=True):
@@ -99,25 +94,16 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
     from ..files.outputs import MARK
     from ..studies.table import write_rows
 
-    under = ["--substrate", arguments.substrate] if arguments.substrate is not None else []
-    options = shlex.join([*gas.given(arguments), "--powder", *arguments.diameter, *under])
-    values = (
-        spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
-    )  # fmt: skip
-    rows = [dict(zip(COLUMNS, map(float, row), strict=True)) for row in zip(*values, strict=True)]
-    write_rows(
-        arguments.csv,
-        (*COLUMNS, "version"),
-        [{**row, "version": __version__} for row in rows],
-        f"{MARK} window; remake: coldspray window {options}",
-    )
+    values = spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
+    rows = [
+        dict(zip(COLUMNS, map(float, row), strict=True)) | {"version": __version__} for row in zip(*values, strict=True)
+    ]
+    write_rows(arguments.csv, (*COLUMNS, "version"), rows, f"{MARK} window; {remake(arguments)}")
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
-    """Velocity over temperature at impact as a PNG: the powder's classes, and the limits for its median diameter (m).
-
-    A class above its own critical velocity, which falls with the diameter, is filled. conditions: gas and nozzle, for the title.
-    """
+    """Velocity over temperature at impact as a PNG: the powder's classes, and the limits for its median diameter (m). A class above its
+    own critical velocity, which falls with the diameter, is filled. conditions: gas and nozzle, for the title."""
     import numpy as np
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
@@ -128,9 +114,8 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
 
     figure = blank(7.0, 5.2, dpi=150, layout="constrained")
     axis = figure.subplots()
-    T = np.linspace(
-        min(273.0, float(spray.temperature.min())), min(float(spray.temperature.max()) + 300.0, 0.9 * metal.T_m), 60
-    )
+    coldest, hottest = float(spray.temperature.min()), float(spray.temperature.max())
+    T = np.linspace(min(273.0, coldest), min(hottest + 300.0, 0.9 * metal.T_m), 60)
     critical = np.array([critical_velocity(metal, t, median) for t in T])
     axis.fill_between(T, (1.0 - within) * critical, (1.0 + within) * critical, color="0.9", linewidth=0.0)
     size = f"of {median * 1e6:.3g} µm (median)"
@@ -143,13 +128,10 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
     diameter, colours = spray.diameter * 1e6, colormaps["viridis"]
     scale = Normalize(float(diameter.min()), float(diameter.max()))
     above, n = spray.ratio >= 1.0, len(diameter)
-    points = axis.scatter(
-        spray.temperature[above], spray.velocity[above], c=diameter[above], cmap=colours, norm=scale, s=26, zorder=3
-    )
-    axis.scatter(
-        spray.temperature[~above], spray.velocity[~above], s=26, zorder=3, facecolors="none", linewidths=1.3,
-        edgecolors=colours(scale(diameter[~above])),
-    )  # fmt: skip
+    T, v, D = spray.temperature, spray.velocity, diameter
+    points = axis.scatter(T[above], v[above], c=D[above], cmap=colours, norm=scale, s=26, zorder=3)
+    edges = colours(scale(D[~above]))
+    axis.scatter(T[~above], v[~above], s=26, zorder=3, facecolors="none", linewidths=1.3, edgecolors=edges)
     for face, count, side in (("0.3", int(above.sum()), "above"), ("none", int((~above).sum()), "below")):
         axis.scatter([], [], s=26, facecolors=face, edgecolors="0.3",
                      label=f"{count} of {n} classes of equal mass, {side} their own critical velocity")  # fmt: skip

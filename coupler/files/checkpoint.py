@@ -1,9 +1,7 @@
 """Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
 
-A file is an uncompressed .npz of arrays, each with the checksum of its zip archive; "header" is a JSON text: format, what the file
-belongs to, and the tree of the state. The state is a record (a frozen dataclass, see `core.records`) of arrays, numbers, strings,
-None, lists, dicts and other records; numbers travel exactly. It is read by the type hints of the record: every field must be there,
-with the type and shape that it says.
+A file is an uncompressed .npz of arrays with checksums; "header" is a JSON text: format, what the file belongs to, and the tree of the
+state, a record (see `core.records`). It is read by the type hints of the record: each field must have the type and shape that it says.
 """
 
 import contextlib
@@ -20,28 +18,23 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
-from ..core.records import Shape, rows_of, shapes_of
+from ..core.records import rows_of, shapes_of
 from ..errors import CheckpointError, StoreError, UnreadableError
 
 FORMAT = 24
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _OF_AN_ARRAY = 600  # bytes beside its numbers, at most
-
-
 R = TypeVar("R")
 
 
 class OtherVersion(CheckpointError):
-    """A checkpoint of another format."""
+    """A checkpoint of another format or run."""
 
 
 def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
-    """Write the record `state` as the next checkpoint of a run and remove all but the last KEPT.
-
-    about: data that identify the run, for `latest`. Raises StoreError when it cannot be written (a full disk); earlier checkpoints are
-    then untouched.
-    """
+    """Write the record `state` as the next checkpoint of a run and remove all but the last KEPT. about: data that identify the run, for
+    `latest`. Raises StoreError when it cannot be written (a full disk); earlier checkpoints are then untouched."""
     numbers = [number for number, _ in stored(directory)]
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
     temporary = path.with_suffix(".part")
@@ -59,9 +52,8 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}; free some space, then continue with coldspray resume {directory}"
-        ) from error
+        hint = f"free some space, then continue with coldspray resume {directory}"
+        raise StoreError(f"cannot write {path}: {error.strerror or error}; {hint}") from error
     for _, old in stored(directory)[:-KEPT]:
         old.unlink(missing_ok=True)
     return path
@@ -82,11 +74,9 @@ def clear(directory: Path) -> None:
 def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
-    """State, a record of class `kind`, of the last checkpoint that is complete; None if there is no checkpoint.
-
-    A damaged one is passed over, with a line to log(text). Raises CheckpointError when a checkpoint belongs to another version
-    or another scene (a key of `about` differs), or when all are damaged.
-    """
+    """State, a record of class `kind`, of the last checkpoint that is complete; None if there is no checkpoint. A damaged one is passed
+    over, with a line to log(text). Raises CheckpointError when a checkpoint belongs to another version or another scene (a key of
+    `about` differs), or when all are damaged."""
     damaged = []
     for _, path in reversed(stored(directory)):
         try:
@@ -103,10 +93,8 @@ def latest(
 
 
 def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
-    """State of a checkpoint file, a record of class `kind`. about: data of the run to which it must belong.
-
-    Raises CheckpointError if it is not whole or not such a record, OtherVersion if it belongs to another version or scene.
-    """
+    """State of a checkpoint file, a record of class `kind`. about: data of the run to which it must belong. Raises CheckpointError if
+    it is not whole or not such a record, OtherVersion if it belongs to another version or scene."""
     try:
         with open(path, "rb") as stream, NpzFile(stream) as arrays:
             header = json.loads(arrays["header"].tobytes())
@@ -122,18 +110,16 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
 
 def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str]) -> None:
     """Raise OtherVersion where a header has another format, or another value of a key of `about`."""
-    its = dict(header["about"])
+    its, again = dict(header["about"]), "or start again with coldspray run --force"
     if header["format"] != FORMAT:
         raise OtherVersion(
             f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
-            f" reads format {FORMAT}: continue with that version, or start again with coldspray run --force"
+            f" reads format {FORMAT}: continue with that version, {again}"
         )
     for key, wanted in about.items():
         if its.get(key) != wanted:
-            raise OtherVersion(
-                f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
-                " continue with that one, or start again with coldspray run --force"
-            )
+            other = f"another {key} ({_short(its.get(key))}, now {_short(wanted)})"
+            raise OtherVersion(f"{path} was written with {other}: continue with that one, {again}")
 
 
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
@@ -176,12 +162,15 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
         hint = kinds.get(str(tree.get("kind")), hint) if isinstance(tree, dict) else hint
         parts, hints = _part(tree, "record", name), get_type_hints(hint)
         if set(parts) != {f.name for f in fields(hint)}:
-            raise ValueError(
-                f"{name or 'the state'} has the fields {_short(sorted(parts))}, expected the fields of {hint.__name__}"
-            )
+            text = f"{name or 'the state'} has the fields {_short(sorted(parts))}"
+            raise ValueError(f"{text}, expected the fields of {hint.__name__}")
         values = {key: _decode(hints[key], part, arrays, f"{name}/{key}") for key, part in parts.items()}
         for key, spec in shapes_of(hint).items():
-            _check(values[key], spec, f"{name}/{key}")
+            value, shape = values[key], values[key].shape
+            fits = len(shape) == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, shape, strict=True))
+            if value.dtype != spec.dtype or not fits:
+                expected = f"expected {spec.shape} of {spec.dtype}"
+                raise ValueError(f"{name}/{key} is an array {shape} of {value.dtype}, {expected}")
         if len({len(values[key]) for key in rows_of(hint)}) > 1:
             raise ValueError(f"{name} has arrays of different lengths")
         return hint(**values)
@@ -220,12 +209,6 @@ def _plain(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if "list" in tree:
         return [_plain(item, arrays) for item in tree["list"]]
     return arrays[tree["array"]] if "array" in tree else tree["value"]
-
-
-def _check(value: np.ndarray, spec: Shape, name: str) -> None:
-    fits = value.ndim == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, value.shape, strict=True))
-    if value.dtype != spec.dtype or not fits:
-        raise ValueError(f"{name} is an array {value.shape} of {value.dtype}, expected {spec.shape} of {spec.dtype}")
 
 
 def _short(value: object) -> str:

@@ -24,10 +24,7 @@ _TEXT_MEMORY = 25  # bytes while reading over bytes of the file: the words of th
 _MESHIO_MEMORY = 8
 _MOST_ARRAYS = 1000  # in one .npz
 _FLAT = ("triangle", "quad", "polygon")  # how cells of surfaces are called
-_AXES = {
-    **{axis: axis for axis in "xyz"},
-    **{f"points{c}{k}": axis for c in ":_" for k, axis in enumerate("xyz")},
-}  # ParaView's too
+_AXES = {name: axis for k, axis in enumerate("xyz") for name in (axis, f"points:{k}", f"points_{k}")}  # ParaView's too
 SURFACE = (
     'is a surface, and points all over the volume are needed. For a particle of this shape give it in a scene: shape = "file", file ='
     ' "..." (STL, PLY, OBJ)'
@@ -46,14 +43,11 @@ class Points:
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
     """The points of a file. known: fields that are read from an .npz; columns: names of columns of a text, "-" for one to leave out.
-
-    Raises InputError, for the surface of a body too, or LimitError before anything is read that the memory cannot hold.
-    """
+    Raises InputError, for the surface of a body too, or LimitError before anything is read that the memory cannot hold."""
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
-        raise InputError(
-            path, f"is larger than {LARGEST_FILE // 1024**3} GiB, the most that is read: give fewer points"
-        )
+        most = f"{LARGEST_FILE // 1024**3} GiB, the most that is read"
+        raise InputError(path, f"is larger than {most}: give fewer points")
     if columns is not None and kind not in TEXT:
         raise InputError(path, f"has no named columns: leave --columns out, it is for {', '.join(TEXT)}")
     if kind in SURFACES and len(read_surface(path)[1]):
@@ -119,15 +113,10 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     """Columns x, y, z and others of a text. An .xyz begins with the number of its points and a line of remarks."""
     with open_input(path, LARGEST_FILE) as stream:
         raw = stream.read()
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = raw.decode("utf-16")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except (
-            UnicodeDecodeError
-        ):  # names of columns as spreadsheets of Western countries write them; numbers are the same
-            text = raw.decode("latin-1")
+    try:
+        text = raw.decode("utf-16" if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
+    except UnicodeDecodeError:  # names of columns as spreadsheets of Western countries write them; numbers are the same
+        text = raw.decode("latin-1")
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
         if count > len(lines):
@@ -136,22 +125,15 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     table = read_table(text, columns)
     axes = {_AXES[name.lower()]: name for name in table.columns if name.lower() in _AXES}
     if len(axes) < 3:
-        names = ", ".join(table.columns)[:200]
-        raise ValueError(
-            f"its columns are {names}: name them with --columns, such as --columns 'x y z' (- leaves one out)"
-        )
+        hint = "name them with --columns, such as --columns 'x y z' (- leaves one out)"
+        raise ValueError(f"its columns are {', '.join(table.columns)[:200]}: {hint}")
     units = {table.units.get(name, "") for name in axes.values()}
     if len(units) > 1:
-        raise ValueError(
-            f"x, y and z have different units: {', '.join(sorted(units))}: give the same unit for all three"
-        )
+        text = f"x, y and z have different units: {', '.join(sorted(units))}"
+        raise ValueError(f"{text}: give the same unit for all three")
     fields = {name: values for name, values in table.columns.items() if name not in axes.values()}
-    return Points(
-        np.stack([table.columns[axes[axis]] for axis in "xyz"], axis=1),
-        fields,
-        {**table.units, "x": units.pop()},
-        table.notes,
-    )
+    x = np.stack([table.columns[axes[axis]] for axis in "xyz"], axis=1)
+    return Points(x, fields, {**table.units, "x": units.pop()}, table.notes)
 
 
 def _meshio(path: Path) -> Points:
@@ -164,11 +146,6 @@ def _meshio(path: Path) -> Points:
     kinds = {block.type for block in mesh.cells if len(block.data)} - {"vertex", "line"}
     if kinds and all(kind.startswith(_FLAT) for kind in kinds):
         raise InputError(path, SURFACE)
-    notes = (
-        [f"the nodes of its cells ({', '.join(sorted(kinds))}) are used as points that fill the body evenly"]
-        if kinds
-        else []
-    )
-    return Points(
-        np.asarray(mesh.points), {n: np.asarray(values) for n, values in mesh.point_data.items()}, notes=notes
-    )
+    told = f"the nodes of its cells ({', '.join(sorted(kinds))}) are used as points that fill the body evenly"
+    fields = {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    return Points(np.asarray(mesh.points), fields, notes=[told] if kinds else [])

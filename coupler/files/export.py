@@ -1,6 +1,6 @@
 """The fields of a run as files of other formats, for tools that cannot read VTKHDF in time."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fields import Fields
-from .outputs import MARK, replacing
+from .outputs import MARK, replacing, write_text
 from .result import COLD, DOMAINS, Result
 
 CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> name of meshio
 WRITTEN = (*DOMAINS, COLD)
-NAMES = tuple(
-    f"{domain}{ending}" for domain in WRITTEN for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
-)
+ENDINGS = (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
+NAMES = tuple(f"{domain}{ending}" for domain in WRITTEN for ending in ENDINGS)
 _TOPOLOGY = {1: "Polyvertex", 3: "Triangle", 4: "Tetrahedron"}  # columns of the cells -> name of XDMF
 _ATTRIBUTE = {(): "Scalar", (3,): "Vector", (6,): "Tensor6"}  # shape of a value -> name of XDMF
 _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy yz zz
@@ -26,28 +25,22 @@ _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy
 def write_fields(
     result: Result, folder: Path, form: str, stage: Callable[[str], None] = lambda text: None
 ) -> list[Path]:
-    """Write the stored steps of each domain as "pvd" or "xdmf", SI units. Returns the files to open.
-
-    "pvd": a .vtu file for each step, and a .pvd file that names them with their times. "xdmf": an .h5 file of the arrays of all steps,
-    each with its own mesh, and an .xdmf file (XDMF 3) that names them. stage(text): called with the name of each step.
-    Raises StoreError.
-    """
+    """Write the stored steps of each domain as "pvd" or "xdmf", SI units. Returns the files to open. "pvd": a .vtu file for each step,
+    and a .pvd file that names them with their times. "xdmf": an .h5 file of the arrays of all steps, each with its own mesh, and an
+    .xdmf file (XDMF 3) that names them. stage(text): called with the name of each step. Raises StoreError."""
     write = {"pvd": _write_pvd, "xdmf": _write_xdmf}[form]
     opened = []
-    for domain in (domain for domain in WRITTEN if len(result.times(domain))):
-        opened.append(folder / f"{domain}.{form}")
-        text = write(folder, domain, _steps(result, domain, stage))
-        with replacing(opened[-1]) as part:
-            part.write_text(text, encoding="utf-8")
-    return opened
 
-
-def _steps(result: Result, domain: str, stage: Callable[[str], None]) -> Iterator[Fields]:
-    """The stored steps of a domain, one after the other."""
-    count = len(result.times(domain))
-    for step in range(count):
+    def step_of(domain: str, step: int, count: int) -> Fields:
         stage(f"{domain}, step {step + 1} of {count}")
-        yield result.fields(step, domain)
+        return result.fields(step, domain)
+
+    for domain in WRITTEN:
+        if count := len(result.times(domain)):
+            text = write(folder, domain, (step_of(domain, step, count) for step in range(count)))
+            write_text(folder / f"{domain}.{form}", text)
+            opened.append(folder / f"{domain}.{form}")
+    return opened
 
 
 def _write_pvd(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
@@ -56,9 +49,8 @@ def _write_pvd(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
     for step, fields in enumerate(steps):
         name = f"{domain}_{step:04d}.vtu"
         (at_points, in_cells), kind = fields.split(), CELLS[fields.cells.shape[1]]
-        mesh = meshio.Mesh(
-            fields.points, [(kind, fields.cells)], at_points, {key: [values] for key, values in in_cells.items()}
-        )
+        of_cells = {key: [values] for key, values in in_cells.items()}
+        mesh = meshio.Mesh(fields.points, [(kind, fields.cells)], at_points, of_cells)
         with replacing(folder / name) as part:
             meshio.write(part, mesh, file_format="vtu")
             with part.open("a", encoding="utf-8") as file:
@@ -103,7 +95,6 @@ def _grid(file: h5py.File, name: str, step: int, fields: Fields) -> str:
         for key, values in arrays.items():
             kind = _ATTRIBUTE[values.shape[1:]]
             array = item(f"{centre}/{key}", values[:, _TENSOR6] if kind == "Tensor6" else values)
-            lines.append(
-                f'<Attribute Name={quoteattr(key)} AttributeType="{kind}" Center="{centre}">{array}</Attribute>'
-            )
+            named = f'Name={quoteattr(key)} AttributeType="{kind}" Center="{centre}"'
+            lines.append(f"<Attribute {named}>{array}</Attribute>")
     return "\n".join([*lines, "</Grid>\n"])

@@ -25,11 +25,9 @@ H = TypeVar("H", h5py.Group, h5py.Dataset)
 
 @dataclass(frozen=True)
 class Fields:
-    """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points.
-
-    data: name -> (n, ...) for values at points, (m, ...) for values in cells, float32 (int32: whole numbers); SI units; stress (.., 6)
-    in the order xx yy zz xy yz xz. A name that is given both at points and in cells holds the values at points.
-    """
+    """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points. data: name -> (n, ...) for values
+    at points, (m, ...) for values in cells, float32 (int32: whole numbers); SI units; stress (.., 6) in the order xx yy zz xy yz xz. A
+    name that is given both at points and in cells holds the values at points."""
 
     time: float
     points: NDArray[np.float64]

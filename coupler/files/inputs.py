@@ -57,9 +57,7 @@ def check_regular(path: str | Path) -> int:
     except FileNotFoundError:
         raise InputError(path, "is missing") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise InputError(
-            path, f"cannot be read: {(error.strerror if isinstance(error, OSError) else None) or error}"
-        ) from None
+        raise InputError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if stat.S_ISDIR(status.st_mode):
         raise InputError(path, "cannot be read: it is a folder, a file is expected")
     if not stat.S_ISREG(status.st_mode):
@@ -80,11 +78,15 @@ def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
     """Open a regular file for reading. limit: bytes at most. Raises InputError."""
     size = check_regular(path)
     if limit is not None and size > limit:
-        raise InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
+        raise _too_large(path, limit)
     try:
         return os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from None
+
+
+def _too_large(path: str | Path, limit: int) -> InputError:
+    return InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
 
 
 def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
@@ -96,13 +98,12 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
         except OSError as error:
             raise InputError(path, f"cannot be read: {error.strerror or error}") from None
     if len(raw) > limit:
-        raise InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
+        raise _too_large(path, limit)
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(
-            path, f"is not text in UTF-8 (byte {error.start}): save it in UTF-8, or give another file"
-        ) from None
+        reason = f"is not text in UTF-8 (byte {error.start}): save it in UTF-8, or give another file"
+        raise InputError(path, reason) from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -218,11 +219,9 @@ def require_memory(needed: float, purpose: str) -> None:
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
-    """Context in which an allocation beyond the free memory fails (MemoryError) instead of having processes killed.
-
-    Sets the soft RLIMIT_DATA, which counts private writable memory, and puts it back. Raises LimitError where the limits that
-    the process was started with are too tight for the libraries.
-    """
+    """Context in which an allocation beyond the free memory fails (MemoryError) instead of having processes killed. Sets the soft
+    RLIMIT_DATA, which counts private writable memory, and puts it back. Raises LimitError where the limits that the process was started
+    with are too tight for the libraries."""
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = _field(_STATUS, "VmData") + _field(_STATUS, "VmStk")
@@ -270,12 +269,12 @@ def _cgroup() -> int:
 
 
 def _own_limits() -> int:
-    left = 2**62
-    for limit, used in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
-        soft = resource.getrlimit(limit)[0]
-        if soft != resource.RLIM_INFINITY:
-            left = min(left, max(soft - _field(_STATUS, used), 0))
-    return left
+    limits = {
+        "VmSize": resource.getrlimit(resource.RLIMIT_AS)[0],
+        "VmData": resource.getrlimit(resource.RLIMIT_DATA)[0],
+    }
+    own = (max(soft - _field(_STATUS, used), 0) for used, soft in limits.items() if soft != resource.RLIM_INFINITY)
+    return min(own, default=2**62)
 
 
 def _field(path: str | Path, name: str, unit: int = 1024) -> int:

@@ -23,11 +23,9 @@ _ENDS = 8192  # bytes at both ends of a file in which MARK is looked for
 
 
 def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
-    """Whether a command may write a file; called before its work. Returns the path.
-
-    suffixes: those that the command writes, in lower case. inputs: files and folders of runs that it reads; none of their files is
-    ever replaced. force: replace a file that this program did not write. Raises StoreError.
-    """
+    """Whether a command may write a file; called before its work. Returns the path. suffixes: those that the command writes, in lower
+    case. inputs: files and folders of runs that it reads; none of their files is ever replaced. force: replace a file that this program
+    did not write. Raises StoreError."""
     if path.suffix.lower() not in suffixes:
         raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}, use {' or '.join(suffixes)}")
     if not path.parent.exists():
@@ -46,27 +44,22 @@ def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (),
 def claim_folder(
     folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool | None = False
 ) -> None:
-    """Whether a command may write files of these names into a folder; made if it is missing, and marked as of this kind.
-
-    names: of the files that may be replaced there, "*" for any text in a name. inputs: files that are never replaced. force:
-    replace files of these names in a folder that is not marked so; None where nobody can ask for that. Raises StoreError.
-    """
+    """Whether a command may write files of these names into a folder; made if it is missing, and marked as of this kind. names: of the
+    files that may be replaced there, "*" for any text in a name. inputs: files that are never replaced. force: replace files of these
+    names in a folder that is not marked so; None where nobody can ask for that. Raises StoreError."""
     check_folder(folder)
     present = [path for name in names for path in sorted(folder.glob(name))] if folder.is_dir() else []
     keep_inputs(folder, names, inputs)
     for path in present:
         if path.is_dir() and not path.is_symlink():
             raise StoreError(f"cannot write {path}: there is a folder of this name; choose {ELSEWHERE}")
-    if present and not force and kind_of(folder) != kind:
-        raise StoreError(
-            f"{folder} holds {present[0].name}, which was not {MARK} as part of a {kind}:"
-            f" choose {ELSEWHERE}" + ("" if force is None else f", or add {REPLACE} to replace it")
-        )
-    if folder.is_symlink() and not force and kind_of(folder) != kind and any(folder.iterdir()):
-        raise StoreError(
-            f"{folder} is a link to {folder.resolve()}, a folder with files that coldspray did not write: choose {ELSEWHERE}"
-            + ("" if force is None else f", or add {REPLACE}")
-        )
+    ways, other = ELSEWHERE + ("" if force is None else f", or add {REPLACE}"), not force and kind_of(folder) != kind
+    if present and other:
+        there = f"{present[0].name}, which was not {MARK} as part of a {kind}"
+        raise StoreError(f"{folder} holds {there}: choose {ways}{' to replace it' if force is not None else ''}")
+    if other and folder.is_symlink() and any(folder.iterdir()):
+        there = f"{folder.resolve()}, a folder with files that coldspray did not write"
+        raise StoreError(f"{folder} is a link to {there}: choose {ways}")
     if kind_of(folder) not in ("", kind) and not force:
         raise StoreError(f"{folder} holds the results of coldspray {kind_of(folder)}: choose {ELSEWHERE}")
     try:

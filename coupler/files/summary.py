@@ -44,10 +44,9 @@ def read_summary(path: Path) -> Summary:
 def problem_of(data: Mapping[str, object]) -> str | None:
     """The fault of a summary that readers cannot use: a table or list that is missing or of another type; None without."""
     impacts = data.get("impacts")
-    if not isinstance(data.get("run"), dict):
-        return "run is not a table"
-    if not isinstance(data.get("provenance", {}), dict):
-        return "provenance is not a table"
+    for name, table in (("run", data.get("run")), ("provenance", data.get("provenance", {}))):
+        if not isinstance(table, dict):
+            return f"{name} is not a table"
     if not isinstance(impacts, list) or not impacts:
         return "impacts is not a list of tables"
     for number, impact in enumerate(impacts, 1):

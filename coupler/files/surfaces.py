@@ -21,11 +21,7 @@ _HEAD = 84  # bytes of a binary STL before its triangles
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _FACET = re.compile(rb"^\s*facet\s+normal\b", re.IGNORECASE | re.MULTILINE)
 _VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE | re.MULTILINE)
-_ORDER = {
-    "ascii": "",
-    "binary_little_endian": "<",
-    "binary_big_endian": ">",
-}  # formats of PLY, and their order of bytes
+_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}  # formats of PLY: order of bytes
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
@@ -39,10 +35,8 @@ Column = tuple[
 
 
 def read_surface(path: Path) -> Surface:
-    """Points (n,3) and triangles (m,3) of a surface in a file, in its own unit and order; polygons are cut into triangles.
-
-    Without triangles where the file has points alone. Raises InputError with what is wrong, LimitError.
-    """
+    """Points (n,3) and triangles (m,3) of a surface in a file, in its own unit and order; polygons are cut into triangles. Without
+    triangles where the file has points alone. Raises InputError with what is wrong, LimitError."""
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
         raise InputError(path, f"is not a file of a surface: its name must end in {', '.join(SURFACES)}")
@@ -59,10 +53,8 @@ def read_surface(path: Path) -> Surface:
 
 
 def _stl(raw: bytes) -> Surface:
-    """A binary file has 84 bytes and 50 for each triangle, as many as its byte 80 and the next say; all else is text.
-
-    A binary file can begin with "solid", too. Bytes behind its triangles are no part of the format, and are left out.
-    """
+    """A binary file has 84 bytes and 50 for each triangle, as many as its byte 80 and the next say; all else is text. A binary file can
+    begin with "solid", too. Bytes behind its triangles are no part of the format, and are left out."""
     lines = raw.replace(b"\r", b"\n")
     if (facets := len(_FACET.findall(lines))) > 0:
         corners = np.array([[float(word) for word in words] for words in _VERTEX.findall(lines)]).reshape(-1, 3)
@@ -95,9 +87,8 @@ def _obj(raw: bytes) -> Surface:
                 corners = [int(word.partition("/")[0]) for word in words]
                 polygons.append([i - 1 if i > 0 else i + len(points) if i < 0 else -1 for i in corners])
         except ValueError:
-            raise ValueError(
-                f"line {number}, {line[:60]!r}: a point needs three numbers, a face whole numbers"
-            ) from None
+            needs = "a point needs three numbers, a face whole numbers"
+            raise ValueError(f"line {number}, {line[:60]!r}: {needs}") from None
     return _triangles(np.array(points).reshape(-1, 3), polygons)
 
 
@@ -168,9 +159,8 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
         raise ValueError("it has points that are not numbers")
     for polygon in polygons:
         if len(polygon) < 3 or not (min(polygon) >= 0 and max(polygon) < len(x)):
-            raise ValueError(
-                f"it has a face of fewer than three points, or one that refers to points outside its {len(x)}"
-            )
+            outside = f"one that refers to points outside its {len(x)}"
+            raise ValueError(f"it has a face of fewer than three points, or {outside}")
     cut = [triangle for polygon in polygons for triangle in _cut([int(i) for i in polygon], x)]
     return x, np.array(cut, np.int64).reshape(-1, 3)
 

@@ -19,9 +19,7 @@ _COUNTED = 10  # rows from which on a column that counts them is read as their n
 @dataclass(frozen=True)
 class Table:
     """columns: (n,) each by name, without columns of words; units: by name, if the names have one; notes: remarks on uncertain points.
-
-    Without names of columns the first three are x, y and z.
-    """
+    Without names of columns the first three are x, y and z."""
 
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str]
@@ -30,11 +28,10 @@ class Table:
 
 def read_table(text: str, names: list[str] | None = None) -> Table:
     """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default the names above the numbers.
-
-    Raises ValueError with what is wrong, and where.
-    """
+    Raises ValueError with what is wrong, and where."""
     lines = [line.strip() for line in text.splitlines()]
-    first = next((k for k, line in enumerate(lines) if _numbers(_fields(line, _separator(line))) >= 3), None)
+    numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
+    first = next((k for k, count in enumerate(numbers) if count >= 3), None)
     if first is None:
         raise ValueError("none of its lines has three numbers, x, y and z" if text.strip() else "it is empty")
     separator = _separator(lines[first])
@@ -59,13 +56,11 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
     wanted = [(k, name) for k, name in enumerate(plain) if name != "-"]
     if len({name.lower() for _, name in wanted}) < len(wanted):
         raise ValueError("two of its columns have the same name: name them with --columns, where - leaves a column out")
-    notes += [
-        f"column {name!r} left out: {rows[0][k][:30]!r} is not a number" for k, name in wanted if k not in columns
-    ]
+    words = [(name, rows[0][k][:30]) for k, name in wanted if k not in columns]
+    notes += [f"column {name!r} left out: {word!r} is not a number" for name, word in words]
     taken = {name: columns[k] for k, name in wanted if k in columns}
-    return Table(
-        taken, {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}, notes
-    )
+    units = {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}
+    return Table(taken, units, notes)
 
 
 def _separator(line: str) -> str:
@@ -95,10 +90,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _numbers(fields: list[str]) -> int:
-    return sum(map(_is_number, fields))
 
 
 def _values(

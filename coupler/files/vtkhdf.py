@@ -1,10 +1,7 @@
-"""Write a moving unstructured grid as VTKHDF: one file, all time steps, a time slider in ParaView.
+"""Write a moving unstructured grid as VTKHDF (version 2.0, UnstructuredGrid with a `Steps` group): one file, all time steps.
 
-Format: VTK file formats, "VTKHDF", UnstructuredGrid with a `Steps` group (version 2.0).
-
-A file must stay readable when the process dies at any moment, so a step is first written and flushed whole,
-and only then counted in `NSteps`; readers never look beyond that count. The oldest HDF5 layout is used
-because it keeps no "file is open" mark.
+A file must stay readable when the process dies at any moment: a step is first written and flushed whole, and only then counted in
+`NSteps`; readers never look beyond that count. The oldest HDF5 layout is used because it keeps no "file is open" mark.
 """
 
 import contextlib
@@ -56,10 +53,8 @@ class _State:
 
 
 class VtkHdfWriter:
-    """Appends time steps of one grid to one file.
-
-    path: file to create (replaced if it is there). Raises OSError if it cannot be created.
-    """
+    """Appends time steps of one grid to one file. path: file to create (replaced if it is there). Raises OSError if it cannot be
+    created."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -105,9 +100,8 @@ class VtkHdfWriter:
         self._file.close()
 
     def _give_up(self) -> None:
-        """Leave the file as it is. HDF5 brings the process down when it cannot write out what it holds in
-        memory, not even at exit: so its descriptor gets a place in memory where that goes and is forgotten.
-        """
+        """Leave the file as it is. HDF5 brings the process down when it cannot write out what it holds in memory, not even at exit: so
+        its descriptor gets a place in memory where that goes and is forgotten."""
         with contextlib.suppress(Exception):
             descriptor, size = self._file.id.get_vfd_handle(), self._file.id.get_filesize()
             sink = os.memfd_create(self.path.name)
@@ -145,10 +139,8 @@ class VtkHdfWriter:
         long = {"Points": xyz, **connectivity}
         long |= {f"{group}/{name}": values for group, data in fields.items() for name, values in data.items()}
         packed = self._packed(long)
-        if connectivity:
-            state.connectivity_offset = self._append(
-                state, "Connectivity", connectivity["Connectivity"], packed["Connectivity"]
-            )
+        for name, ids in connectivity.items():
+            state.connectivity_offset = self._append(state, name, ids, packed[name])
         put("PartOffsets", state.part)
         put("NumberOfParts", 1)
         put("PointOffsets", self._append(state, "Points", xyz, packed["Points"]))
@@ -224,11 +216,9 @@ class VtkHdfWriter:
         return int(self._data[name].chunks[0]) if name in self._data else min(max(len(values), 1), CHUNK)
 
     def _append(self, state: _State, name: str, values: NDArray, packed: list[bytes] | None = None) -> int:
-        """Put rows behind those in use, in a data set that is made at first use; returns where they start. packed: long data as
-        chunks (`_packed`), which begin with a chunk of their own.
-
-        A compressed chunk that is written once is never moved, so that a crash cannot hurt older steps.
-        """
+        """Put rows behind those in use, in a data set that is made at first use; returns where they start. packed: long data as chunks
+        (`_packed`), which begin with a chunk of their own. A compressed chunk that is written once is never moved, so that a crash
+        cannot hurt older steps."""
         start, tail = state.rows.get(name, 0), values.shape[1:]
         if name not in self._data:
             long = packed is not None or len(values) > 1
@@ -259,11 +249,9 @@ class VtkHdfWriter:
 
 
 def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
-    """The writer of a new file that holds the first `steps` steps of the file at a path.
-
-    Chunks are copied as they are stored: their bytes are not looked at, those of the last step excepted. Raises StoreError
-    for a file that is damaged, UnreadableError without the permission, IndexError for one of fewer steps, OSError as the writer.
-    """
+    """The writer of a new file that holds the first `steps` steps of the file at a path. Chunks are copied as they are stored: their
+    bytes are not looked at, those of the last step excepted. Raises StoreError for a file that is damaged, UnreadableError without the
+    permission, IndexError for one of fewer steps, OSError as the writer."""
     with opened(path) as old:
         state = _state_at(old, steps)
     if shutil.disk_usage(new.parent).free < path.stat().st_size + SPARE:
@@ -328,12 +316,9 @@ def _longest_file() -> float:
 
 def _fields(data: Data, count: int, owner: str) -> dict[str, NDArray]:
     """The fields as they are stored: whole numbers as int32, all others as float32."""
-    arrays = {name: np.asarray(values) for name, values in data.items()}
-    fields = {
-        name: np.ascontiguousarray(values, np.int32 if values.dtype.kind in "iu" else np.float32)
-        for name, values in arrays.items()
-    }
-    for name, values in fields.items():
+    fields = {}
+    for name, values in ((name, np.asarray(values)) for name, values in data.items()):
         if values.ndim not in (1, 2) or len(values) != count:
             raise ValueError(f"{owner} data {name!r} must be ({count},) or ({count}, k), got {values.shape}")
+        fields[name] = np.ascontiguousarray(values, np.int32 if values.dtype.kind in "iu" else np.float32)
     return fields

@@ -54,10 +54,8 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
     """An order of impacts that makes large batches. An impact moves to a later batch if its window lies apart from the windows of that
-    batch and its splat from the splats of all impacts in between: splats that may overlap keep their order.
-
-    Batches are made from the last one back, each as large as can be: the pause after a batch costs the more the higher the coating is.
-    """
+    batch and its splat from the splats of all impacts in between: splats that may overlap keep their order. Batches are made from the
+    last one back, each as large as can be: the pause after a batch costs the more the higher the coating is."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()

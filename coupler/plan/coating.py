@@ -18,11 +18,9 @@ _BROADER = 3.0  # standard deviations of the logarithm, where smallest or larges
 
 
 def expand(raw: dict[str, object], folder: Path) -> list[str]:
-    """Put the particles of a table [coating] into a scene that has no particles. Returns the problems of having both.
-
-    raw: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
-    are. The table's own problems are reported by the scene's check; until then a particle stands in for those it would make.
-    """
+    """Put the particles of a table [coating] into a scene that has no particles. Returns the problems of having both. raw: the scene as
+    nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they are. The table's own
+    problems are reported by the scene's check; until then a particle stands in for those it would make."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
         raw.setdefault("particle", [dict(_STAND_IN)])

@@ -76,11 +76,9 @@ def spacing(volume: float, points: int) -> float:
 def elements(
     diameter: float, height: float, element_size: float, refined_radius: float, growth: float, spread: float = 0.0
 ) -> int:
-    """Tetrahedra of a graded mesh of a cylinder (m): element_size within refined_radius of a disc of radius spread, then growing.
-
-    Sum of TETS_PER_H3 / h(r)^3 over the volume within a distance r below and beside the disc, at most the cylinder's, with h(r) =
-    element_size + growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
-    """
+    """Tetrahedra of a graded mesh of a cylinder (m): element_size within refined_radius of a disc of radius spread, then growing. Sum
+    of TETS_PER_H3 / h(r)^3 over the volume within a distance r below and beside the disc, at most the cylinder's, with h(r) =
+    element_size + growth max(0, r - refined_radius), at most COARSEST of the smaller dimension."""
     cylinder = math.pi / 4 * diameter**2 * height
     r = np.linspace(0.0, (1.5 * cylinder / math.pi) ** (1 / 3), 401)  # at most the radius of a half ball
     volume = np.minimum(math.pi * spread**2 * r + 0.5 * math.pi**2 * spread * r**2 + 2 / 3 * math.pi * r**3, cylinder)
@@ -122,11 +120,9 @@ def loads(
 def stopping_time(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> float:
-    """Time, s, in which a target that resists with the pressure H + rho_t v^2 / 2 stops a sphere (Poncelet 1829).
-
-    (2/3) rho_p D / sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)); H: hardness of the softer of both. materials, temperatures (K): of
-    particle and target; velocity m/s, diameter m.
-    """
+    """Time, s, in which a target that resists with the pressure H + rho_t v^2 / 2 stops a sphere (Poncelet 1829). (2/3) rho_p D /
+    sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)); H: hardness of the softer of both. materials, temperatures (K): of particle and target;
+    velocity m/s, diameter m."""
     rate = velocity / diameter
     H = HARDNESS_OVER_YIELD * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
     particle, target = materials

@@ -118,10 +118,8 @@ class Derived:
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 
     def usual_time_of(self, particle: Particle) -> float:
-        """The longest an impact takes as a rule, s: the scene's time, else the flight over the gap and 3 D / v.
-
-        For D the particle's height, where that is larger; at a grazing angle 1.5 D / v with the velocity v towards the target.
-        """
+        """The longest an impact takes as a rule, s: the scene's time, else the flight over the gap and 3 D / v. For D the particle's
+        height, where that is larger; at a grazing angle 1.5 D / v with the velocity v towards the target."""
         if self.scene.end.time is not None:
             return self.scene.end.time
         towards = particle.velocity * math.cos(particle.angle)
@@ -129,10 +127,8 @@ class Derived:
         return self.gap_of(particle) / towards + particle.height * crossings
 
     def end_time_of(self, particle: Particle) -> float:
-        """The longest an impact may take, s: the scene's time, else the usual one, or the flight and twice the time to stop.
-
-        Raises SceneError for an unknown material.
-        """
+        """The longest an impact may take, s: the scene's time, else the usual one, or the flight and twice the time to stop. Raises
+        SceneError for an unknown material."""
         usual = self.usual_time_of(particle)
         if self.scene.end.time is not None:
             return usual
@@ -168,10 +164,8 @@ class Derived:
 
     @cached_property
     def time_between(self) -> float:
-        """Mean time (s) between impacts on the disc that the scene's particles fall on, no smaller than a particle.
-
-        Raises SceneError for an unknown material.
-        """
+        """Mean time (s) between impacts on the disc that the scene's particles fall on, no smaller than a particle. Raises SceneError
+        for an unknown material."""
         particles, coating = self.scene.particles, self.scene.coating
         radius = coating.radius if coating else max(math.dist(p.offset, self.centre) for p in particles)
         return self.stream.time_between(max(radius, 0.5 * max(p.width for p in particles)))
@@ -193,11 +187,6 @@ class Derived:
         h, T, gas = self.spray.heat_transfer, self.spray.gas_temperature, self.scene.gas
         T = gas.temperature if T is None and gas is not None else T
         return (h, T) if h and T is not None else None
-
-    @property
-    def end_time(self) -> float:
-        """The longest all impacts together may take, s, without the pauses between them."""
-        return sum(map(self.end_time_of, self.scene.particles))
 
     @cached_property
     def _catalogue(self) -> tuple[dict[str, Material], list[str]]:

@@ -1,7 +1,4 @@
-"""Which physics a scene calls for: the table of effects, each with a number and the value below which `auto` leaves it out.
-
-What each changes is measured: rows of its name in docs/tables/effects_study.csv.
-"""
+"""The table of effects, each with a number and the value below which `auto` leaves it out (measured: docs/evidence/effects.md)."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -163,12 +160,9 @@ class Effects(Switches):
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """The effects that a scene switches on or off; effects that it leaves to `decide` are not included.
-
-    request: "auto" (the numbers decide), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean
-    these and no other; a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
-    one of signed names only changes "auto".
-    """
+    """The effects that a scene switches on or off; effects that it leaves to `decide` are not included. request: "auto" (the numbers
+    decide), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean these and no other; a list that begins
+    with "auto", "all" or "none" changes that choice: ["auto", "-friction"]; one of signed names only changes "auto"."""
     if isinstance(request, str):
         items, base = [], request
     else:

@@ -37,14 +37,9 @@ def forecast(plan: Plan) -> Forecast:
         weight += n * points  # as the particle's cost goes
     ends = list(accumulate(map(sum, zip(looped, between, strict=True)), initial=0.0))
     whole = ends[-1] + cost.SECONDS_PER_RUN
-    return Forecast(
-        steps,
-        [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)],
-        sum(looped) + sum(between) + cost.run_time(plan.target.elements_estimate),
-        cost.memory(max(i.points for i in impacts), met[-1]),
-        files,
-        load / weight,
-    )
+    shares = [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)]
+    time = sum(looped) + sum(between) + cost.run_time(plan.target.elements_estimate)
+    return Forecast(steps, shares, time, cost.memory(max(i.points for i in impacts), met[-1]), files, load / weight)
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:

@@ -46,10 +46,8 @@ def _flights(
 def arrival(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float, among: Iterable[float]
 ) -> dict[str, str]:
-    """Velocity and temperature of a sphere (diameter m) at impact, as a scene writes them.
-
-    among: all diameters (m) of the scene, which are computed together. Raises ColdsprayError, beginning with the field at fault.
-    """
+    """Velocity and temperature of a sphere (diameter m) at impact, as a scene writes them. among: all diameters (m) of the scene, which
+    are computed together. Raises ColdsprayError, beginning with the field at fault."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
@@ -57,18 +55,14 @@ def arrival(
             f"pressure = {units.rounded(conditions.pressure, 'bar')}: brings {units.rounded(diameter, 'um')} of"
             f" {material.name} to {flown.velocity:.3g} m/s; a scene needs {limits}"
         )
-    return {
-        "velocity": units.rounded(flown.velocity, "m/s", _DIGITS),
-        "temperature": units.rounded(flown.temperature, "K", _DIGITS),
-    }
+    arriving = {"velocity": flown.velocity, "temperature": flown.temperature}
+    return {field: units.rounded(value, *_UNITS[field]) for field, value in arriving.items()}
 
 
 def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
-    """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas].
-
-    raw: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the
-    materials. Returns the problems that only the gas has; the scene's own check finds the others.
-    """
+    """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas]. raw: the scene as nested
+    dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the materials. Returns the problems that only the gas
+    has; the scene's own check finds the others."""
     tables = raw["nozzles"]
     assert isinstance(tables, dict)
     known, problems = nozzles.from_tables(tables)
@@ -104,19 +98,16 @@ def describe(scene: SceneData) -> list[str]:
     where = f"{c.kind} {units.rounded(c.pressure, 'bar')}, {units.rounded(c.temperature, 'degC')}, nozzle {nozzle.name}"
     head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away:"
     gives = list(dict.fromkeys(_gives(scene, c, nozzle, particle) for particle in scene.particles))
+    more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
+    lines = [head, *(f"{_INDENT}{text}" for text in [*gives[:_MOST_LINES], *more])]
     if len(scene.particles) == 1:
         lines = [f"{head} {gives[0]}"]
-    else:
-        more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
-        lines = [head, *(f"{_INDENT}{text}" for text in [*gives[:_MOST_LINES], *more])]
     shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
-    sphere = (
+    notes = (
         [f"drag and heat are those of the sphere of equal volume, not of this {', '.join(shapes)}"] if shapes else []
     )
-    notes = [*sphere, *flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
-    return lines + [
-        line for note in notes for line in textwrap.wrap(note, 110, initial_indent=_INDENT, subsequent_indent=_INDENT)
-    ]
+    notes += [*flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
+    return lines + [_INDENT + line for note in notes for line in textwrap.wrap(note, 110 - len(_INDENT))]
 
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:

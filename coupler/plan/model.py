@@ -16,15 +16,14 @@ from .effects import Decision, Effects
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactPlan(Landing):
-    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
-    (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
-    that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
-    rate's smoothing; dwell, the time until the next. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. formula: critical
-    velocities of its metal and of the metal that it hits, of a splat or the substrate.
-    lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
-    splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
-    hardness."""
+    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset (x, y) m, of its
+    centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about that many. Times in s: end_time,
+    the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain rate's smoothing; dwell, the time until the
+    next. end_at: "rest", "greatest" (deformation) or "time"; the first two at end_time at the latest. window: radius (m) round it
+    beyond which the target rests, inf where all is computed. formula: critical velocities of its metal and of the metal that it hits,
+    of a splat or the substrate. lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that
+    is no file's. splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the
+    powder, from its hardness."""
 
     material: Material
     shape: str

@@ -30,10 +30,7 @@ COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
     """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do); error:
-    whether it is measured.
-
-    Raises SceneError if the scene names an unknown material.
-    """
+    whether it is measured. Raises SceneError if the scene names an unknown material."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.derived.material(scene.substrate.material)
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
@@ -97,40 +94,39 @@ def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
 def _impact(scene: Scene, i: int) -> ImpactPlan:
     particle = scene.particles[i]
     D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
-    end_at: Literal["rest", "greatest", "time"] = (
-        "rest" if scene.end.at == "cold" else scene.end.at or ("time" if scene.end.time is not None else "rest")
-    )
+    end_at: Literal["rest", "greatest", "time"] = "rest" if scene.end.time is None else "time"
+    if scene.end.at is not None:
+        end_at = "rest" if scene.end.at == "cold" else scene.end.at
     material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
     load = estimates.loads((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
-    dt = estimates.time_step(
-        scene.derived.spacing, material.wave_speed, load, points, particle.angle, scene.resolution.engine, tall
-    )
+    d, angle, engine = scene.derived, particle.angle, scene.resolution.engine
+    dt = estimates.time_step(d.spacing, material.wave_speed, load, points, angle, engine, tall)
     return ImpactPlan(
         material=material,
         shape=particle.shape,
         file=particle.file or "",
         tilt=particle.tilt,
         diameter=D,
-        velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
+        velocity=(v * math.sin(angle), 0.0, -v * math.cos(angle)),
         temperature=particle.temperature,
         offset=particle.offset,
-        gap=scene.derived.gap_of(particle),
-        spacing=scene.derived.spacing,
-        points=scene.derived.points_of(particle),
+        gap=d.gap_of(particle),
+        spacing=d.spacing,
+        points=d.points_of(particle),
         end_time=cap * (estimates.ON_SPLATS if i > 0 and scene.end.time is None else 1.0),
         expected=estimates.expected_time(cap, height, v, end_at, load, particle.angle),
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
-        output_every=scene.derived.output_every_of(particle),
-        dwell=scene.derived.dwell_of(particle),
+        output_every=d.output_every_of(particle),
+        dwell=d.dwell_of(particle),
         end_at=end_at,
-        window=scene.derived.window_of(particle),
+        window=d.window_of(particle),
         formula=pair_formula(material, base, particle.temperature, D),
         lengths=particle.form.lengths,
-        splat_elements=scene.derived.splat_elements_of(particle) if _stays(scene, particle) else 0,
+        splat_elements=d.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
     )
 
@@ -148,23 +144,14 @@ def _spray(scene: Scene) -> str:
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
-    substrate, absorbing = scene.substrate, decided.absorbing_boundaries
+    d, body, absorbing = scene.derived, scene.substrate, decided.absorbing_boundaries
+    # where no wave comes back in time a plain face gives the same answer for less
+    sides = body.sides if absorbing or body.sides != "absorbing" else "free"
+    bottom = body.bottom if absorbing or body.bottom != "absorbing" else "fixed"
     return TargetPlan(
-        material=base,
-        diameter=substrate.diameter,
-        height=substrate.height,
-        temperature=substrate.temperature,
-        # where no wave comes back in time a plain face gives the same answer for less
-        sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
-        bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
-        element_size=scene.derived.element_size,
-        largest_element=COARSEST * min(substrate.diameter, substrate.height),
-        centre=scene.derived.centre,
-        spread=scene.derived.spread,
-        refined_radius=scene.derived.refined_radius,
-        growth=scene.resolution.growth,
-        elements_estimate=scene.derived.elements,
-    )
+        base, body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
+        COARSEST * min(body.diameter, body.height), d.centre, d.spread, d.refined_radius, scene.resolution.growth, d.elements,
+    )  # fmt: skip
 
 
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:

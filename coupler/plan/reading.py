@@ -1,6 +1,7 @@
 """Reading a scene as a whole: coating and gas give what they give, and every problem is reported at once."""
 
 import copy
+import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -50,10 +51,8 @@ class Scene(SceneData):
 
     @classmethod
     def from_text(cls, text: str, source: str = "scene", settings: Settings = ()) -> "Scene":
-        """Read a scene from TOML. Raises SceneError with every problem of it.
-
-        source: what to call it in messages; its stem is the scene's name unless the scene has one. settings: as for `load`.
-        """
+        """Read a scene from TOML. Raises SceneError with every problem of it. source: what to call it in messages; its stem is the
+        scene's name unless the scene has one. settings: as for `load`."""
         try:
             data = parse_toml(text)
         except ValueError as error:  # also a number of thousands of digits
@@ -99,15 +98,12 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     _set_defaults(raw)
     problems += fill(raw, catalogue)
     with_folders(raw, source)
-    faulty: set[str] = set()
     read, entries = read_table(Scene, raw)
-    scene: SceneData | None = read
-    if entries:
-        particles = raw.get("particle")
-        several = isinstance(particles, list) and len(particles) > 1
-        problems += [in_words(entry, several) for entry in entries]
-        faulty = {dotted(entry["loc"], several) for entry in entries}
-        scene = without(raw, [entry["loc"] for entry in entries])
+    particles = raw.get("particle")
+    several = isinstance(particles, list) and len(particles) > 1
+    problems += [in_words(entry, several) for entry in entries]
+    faulty = {dotted(entry["loc"], several) for entry in entries}
+    scene = without(raw, [entry["loc"] for entry in entries]) if entries else read
     problems += material_problems
     if scene is not None:
         problems += read_forms(scene)
@@ -162,20 +158,16 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
         return {"gap": f"{text_of(d.gap_of(table), 'um')}  (from: half a spacing)", **several}
     first, each = scene.particle, ", of the first impact" if len(scene.particles) > 1 else ""
     every, end = d.output_every_of(first), d.end_time_of(first)
+    spacing, size = f"{text_of(d.spacing, 'um')}  (from: preset)", f"{text_of(d.element_size, 'um')}  (from: spacing)"
+    kind = f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)'
     return {
-        "[adhesion]": {
-            "kind": f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)',
-            "criterion": f'"{d.adhesion_law.criterion}"  (from: kind)',
-        },
+        "[adhesion]": {"kind": kind, "criterion": f'"{d.adhesion_law.criterion}"  (from: kind)'},
         "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},
-        "[resolution]": {
-            "spacing": f"{text_of(d.spacing, 'um')}  (from: preset)",
-            "element_size": f"{text_of(d.element_size, 'um')}  (from: spacing)",
-        },
+        "[resolution]": {"spacing": spacing, "element_size": size},
         "[end]": {
             "time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity, or twice the time to stop, at most{each})"
         },
-        "[output]": {}
-        if scene.output.at == "ends"
-        else {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"},
+        "[output]": {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"}
+        if math.isfinite(every)
+        else {},
     }.get(head, {})

@@ -1,7 +1,4 @@
-"""The plan as JSON and back: plan.json in a run's folder.
-
-Numbers that JSON does not have (an infinite window) are written as text, "Infinity"; tuples as lists.
-"""
+"""The plan as JSON and back: plan.json in a run's folder. Numbers that JSON does not have are written as text, "Infinity"."""
 
 import hashlib
 import json

@@ -20,8 +20,11 @@ LEAST_REDUCTION = 1.5  # of points, between two resolutions that are compared
 SAFETY, SAFETY_UNCERTAIN = 1.25, 3.0
 ORDERS = np.linspace(
     0.5, 2.0, 61
-)  # that an error is extrapolated with where the values have one of them; else one of the two ...
-FIXED_ORDERS = FORMAL_ORDER, _ = 1.0, 2.0  # ... the first that of the particle's viscosity and of the contact's penalty
+)  # that an error is extrapolated with where the values have one of them; else one of ...
+FIXED_ORDERS = FORMAL_ORDER, _ = (
+    1.0,
+    2.0,
+)  # ... these, the first that of the particle's viscosity and of the contact's penalty
 # Median over the scenes of docs/tables/errors.csv of the error over the value (of temperatures: over their rise), at FORECAST_AT points
 FORECAST_AT = 1000
 FORECAST = {
@@ -42,21 +45,19 @@ class AccuracyError(ColdsprayError):
 def at_points(
     scene: Scene, points: int, changes: Mapping[str, object] | None = None, element: float | None = None
 ) -> Scene:
-    """The scene with about so many points in its largest particle, and its elements in the same ratio to their spacing.
-
-    changes: of other keys; element: smallest edge of the target's elements over the spacing, in place of the scene's ratio. Raises
-    SceneError where such points are too coarse for the scene.
-    """
+    """The scene with about so many points in its largest particle, and its elements in the same ratio to their spacing. changes: of
+    other keys; element: smallest edge of the target's elements over the spacing, in place of the scene's ratio. Raises SceneError where
+    such points are too coarse for the scene."""
     data = tomllib.loads(scene.to_toml()) | dict(changes or {})
     spacing = cost.spacing(max(p.volume for p in scene.particles), points)
     ratio = spacing / scene.derived.spacing
     sizes = {"resolution": scene.resolution.element_size, "splat": scene.splat.element_size}
-    data.setdefault("resolution", {})["spacing"] = _length(spacing)
-    for table, size in sizes.items():
-        if size is not None:
-            data[table]["element_size"] = _length(ratio * size)
+    lengths = {table: ratio * size for table, size in sizes.items() if size is not None}
     if element is not None:
-        data["resolution"]["element_size"] = _length(element * spacing)
+        lengths["resolution"] = element * spacing
+    data.setdefault("resolution", {})["spacing"] = f"{spacing * 1e6!r} um"
+    for table, size in lengths.items():
+        data[table]["element_size"] = f"{size * 1e6!r} um"
     return Scene.from_dict(data, scene.name)
 
 
@@ -128,7 +129,3 @@ def points_for(share: float) -> int:
     """The fewest points for which the forecast of the errors of the shape is `share` of the value or less."""
     worst = max(forecast(1.0)[key] for key in SHAPE)
     return max(math.ceil((worst / share) ** (3.0 / FORMAL_ORDER)), LEAST)
-
-
-def _length(size: float) -> str:
-    return f"{size * 1e6!r} um"

@@ -49,7 +49,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
             hot.setdefault(i.material.name, []).append((label, T))
     for metal in {i.material.name: i.material for i in impacts if i.material.name in hot}.values():
         labels, reached = zip(*hot[metal.name], strict=True)
-        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
+        several = ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
+        warnings.append(f"{several if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
     if text := _hot(base, scene.substrate.temperature):
         warnings.append(f"the target {text}")
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
@@ -109,7 +110,3 @@ def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
         f"{len(impacts)} particles on a disc of {units.rounded(across, 'um')} make a heap some {units.rounded(height, 'um')} high,"
         " whose flanks the late ones slide down: give a larger coating.radius or fewer particles"
     )
-
-
-def _listed(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")

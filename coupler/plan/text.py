@@ -68,13 +68,9 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
 def _strength(plan: Plan, brief: bool) -> list[str]:
     """The strength set of each metal, and the powder's own hardness; unless in brief the sources of each metal."""
     metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
-    hardened = [impact.initial_strain for impact in plan.impacts if impact.initial_strain > 0.0]
-    powder = (
-        f"powder begins at a plastic strain of {max(hardened):.3g}"
-        if hardened
-        else "powder as its set, no hardness given"
-    )
-    texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; {powder}"}
+    hardened = max(impact.initial_strain for impact in plan.impacts)
+    powder = f"begins at a plastic strain of {hardened:.3g}" if hardened > 0.0 else "as its set, no hardness given"
+    texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}
     hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]
     if plan.effects.gradient_hardening and hard:
         texts["strength"] += f"; gradients of plastic strain harden {', '.join(hard)}"
@@ -164,16 +160,11 @@ def _ends(plan: Plan) -> str:
     several = len(plan.impacts) > 1
     last = sorted({i.end_time for i in plan.impacts})
     often = sorted({max(i.output_every, estimates.CHUNK * i.dt_expected) for i in plan.impacts})
-    when = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}[
-        plan.impact.end_at
-    ]
+    ends = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}
     cold = "" if plan.ambient is None else f"; at the end all cools to {units.rounded(plan.ambient, 'K', 4)}"
-    steps = (
-        f"a step written every {_range(often)}"
-        if math.isfinite(often[0])
-        else f"a step written at the end{' of each' if several else ''}"
-    )
-    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}{cold}; {steps}"
+    when = f"every {_range(often)}" if math.isfinite(often[0]) else f"at the end{' of each' if several else ''}"
+    head = f"  {'each ends  ' if several else 'ends       '}{ends[plan.impact.end_at]}"
+    return f"{head}{_range(last)}{cold}; a step written {when}"
 
 
 def _bytes(number: float) -> str:
@@ -189,9 +180,7 @@ def _range(values: list[float], unit: str = "ns") -> str:
 def _shapes(plan: Plan) -> list[str]:
     """Lines about shapes other than spheres, one for each of the first ones."""
     lines = []
-    for particle in plan.impacts:
-        if particle.shape == "sphere":
-            continue
+    for particle in (impact for impact in plan.impacts if impact.shape != "sphere"):
         lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)
         tilt = f" tilted {units.rounded(particle.tilt, 'deg')}" if particle.tilt else ""
         which = f"{_shape(particle)}: " if len(plan.impacts) > 1 else ""

@@ -25,12 +25,9 @@ SUFFIXES = (".mp4", ".gif")
 
 
 def animate(
-    result: Result,
-    path: str | Path | None = None,
-    field: str = "T",
-    fps: float | None = None,
+    result: Result, path: str | Path | None = None, field: str = "T", fps: float | None = None,
     stage: Callable[[str], None] = lambda text: None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Write a film of the cut through particle and target, a picture for each stored step.
 
     path: an .mp4 file, which needs ffmpeg (`ffmpeg`), or a .gif file; `<field>.mp4`, without ffmpeg `<field>.gif`, in the run's folder
@@ -85,8 +82,7 @@ def ffmpeg() -> str | None:
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
     """Pipe the pictures to ffmpeg. Raises StoreError where it is not there or fails."""
-    program = ffmpeg()
-    if program is None:
+    if (program := ffmpeg()) is None:
         raise StoreError(
             f"cannot write {path}: no ffmpeg; install it, or pip install coldspray[film]; a .gif needs none"
         )

@@ -46,10 +46,8 @@ MOMENT = 1e-13  # s: less than a page shows, and more than its digits leave out
 
 
 def energy(history: History) -> Figure | None:
-    """The ledger over time, stacked, each impact in % of the kinetic energy of its own particle; None without its columns.
-
-    The part of the total that is in none of these columns is shown as "other", so that the stack is always the recorded total.
-    """
+    """The ledger over time, stacked, each impact in % of the kinetic energy of its own particle; None without its columns. The part of
+    the total that is in none of these columns is shown as "other", so that the stack is always the recorded total."""
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
     history, starts = _apart(history)
@@ -69,14 +67,9 @@ def energy(history: History) -> Figure | None:
         | {"stackgroup": "all", "fillcolor": colour, "hovertemplate": "%{y:.2f} %"}
         for term, words, colour in terms
     ]
-    layout = {
-        "xaxis": axis("time (ns)", traces, "x"),
-        "yaxis": {
-            "title": "% of the initial kinetic energy",
-            "range": [-3, 103 + 100 * max(np.nanmax(history["drift"]), 0)],
-        },
-        "legend": {"traceorder": "reversed"},
-    }
+    top = 103 + 100 * max(np.nanmax(history["drift"]), 0)
+    share = {"title": "% of the initial kinetic energy", "range": [-3, top]}
+    layout = {"xaxis": axis("time (ns)", traces, "x"), "yaxis": share, "legend": {"traceorder": "reversed"}}
     return {"traces": traces, "layout": layout, "height": 420}
 
 
@@ -125,12 +118,10 @@ def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
     """A field along the axis at several times, depth downwards. span: least and greatest depth to show, um."""
-    lines = [(profile, profile.values[name] * factor) for profile in profiles if name in profile.values]
-    traces = [
-        _down([(p, values) for p, values in lines if p.time == time], f"{time * 1e9:.1f} ns", colour)
-        for time, colour in shades(profile.time for profile in profiles).items()
-        if any(p.time == time for p, _ in lines)
-    ]
+    traces = []
+    for time, colour in shades(profile.time for profile in profiles).items():
+        own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]
+        traces += [_down(own, f"{time * 1e9:.1f} ns", colour)] if own else []
     return _deep(traces, label, span, legend=False) if traces else None
 
 
@@ -161,13 +152,11 @@ def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, das
 def _deep(traces: Sequence[Trace], label: str, span: tuple[float, float], legend: bool) -> Figure:
     line = {"color": "#888", "width": 1, "dash": "dash"}
     layout = {
-        "xaxis": axis(label, traces, "x"),
+        "xaxis": axis(label, traces, "x"), "hovermode": "y unified", "showlegend": legend,
         "yaxis": {"title": "depth below the surface (µm)", "range": [1.04 * span[1], span[0] - 0.04 * span[1]]},
-        "hovermode": "y unified",
         "legend": {"x": 0.03, "y": 0.03, "xanchor": "left", "yanchor": "bottom"},
-        "showlegend": legend,
         "shapes": [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0, "line": line}],
-    }
+    }  # fmt: skip
     return {"traces": traces, "layout": layout, "height": 440}
 
 
@@ -181,8 +170,5 @@ def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
     """One curve, with seven digits, more than a screen shows; a value that is not a number is a gap."""
-    places = {
-        key: [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
-        for key, values in (("x", x), ("y", y))
-    }
-    return {**places, "name": name, "mode": "lines", "line": {"width": 1.8, **line}}
+    places = ([float(f"{value:.7g}") if np.isfinite(value) else None for value in values] for values in (x, y))
+    return {**dict(zip("xy", places, strict=True)), "name": name, "mode": "lines", "line": {"width": 1.8, **line}}

@@ -20,13 +20,10 @@ from .words import Line, errors_of, fill_table, plain, shown, table_lines, title
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
-    ("height", "height above surface (µm)", 1e6),
-    ("crater_depth", "crater depth (µm)", 1e6),
-    ("velocity_z", "mean velocity of the particle (m/s)", 1.0),
-    ("contact_force", "contact force (mN)", 1e3),
-    ("kinetic", "kinetic energy (nJ)", 1e9),
-    ("dt", "time step (ps)", 1e12),
-)
+    ("height", "height above surface (µm)", 1e6), ("crater_depth", "crater depth (µm)", 1e6),
+    ("velocity_z", "mean velocity of the particle (m/s)", 1.0), ("contact_force", "contact force (mN)", 1e3),
+    ("kinetic", "kinetic energy (nJ)", 1e9), ("dt", "time step (ps)", 1e12),
+)  # fmt: skip
 
 
 def names_of(results: Sequence[Result]) -> list[str]:
@@ -49,10 +46,8 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
 
 
 def comparison_table(results: Sequence[Result]) -> Table:
-    """Scenes where they differ and all measures, a column for each run; of two runs also the change in %.
-
-    Raises StoreError if a summary is damaged or the runs are too few or too many.
-    """
+    """Scenes where they differ and all measures, a column for each run; of two runs also the change in %. Raises StoreError if a
+    summary is damaged or the runs are too few or too many."""
     check_count(len(results))
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
@@ -62,8 +57,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
     if two:
         table.add_column("change", justify="right")
     table.add_column("")
-    differ = differences(results)
-    if differ:
+    if differ := differences(results):
         table.add_row(Text("scene, where it differs", style="bold"))
         for key, values in differ:
             table.add_row(Text("  " + key), *(Text(value) for value in values), *[""] * two, "")
@@ -86,10 +80,8 @@ def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
 
 
 def comparison_picture(results: Sequence[Result]) -> Figure:
-    """The last cut of each run, by temperature and by plastic strain, with one scale and one range of colours.
-
-    Raises StoreError if a run has nothing that can be drawn.
-    """
+    """The last cut of each run, by temperature and by plastic strain, with one scale and one range of colours. Raises StoreError if a
+    run has nothing that can be drawn."""
     check_count(len(results))
     names = [name for name in ("T", "eps_p") if all(name in picture.drawable(result) for result in results)]
     empty = [str(result.directory) for result in results if not picture.drawable(result)]
@@ -120,10 +112,8 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
 
 
 def compare(results: Sequence[Result], path: str | Path) -> Path:
-    """Write the comparison: a figure if the path ends in .png, a page if it ends in .html. Returns the path.
-
-    Raises StoreError if a run lacks what is needed, the path ends otherwise or cannot be written.
-    """
+    """Write the comparison: a figure if the path ends in .png, a page if it ends in .html. Returns the path. Raises StoreError if a run
+    lacks what is needed, the path ends otherwise or cannot be written."""
     path = Path(path)
     if path.suffix.lower() == ".png":
         picture.save(comparison_picture(results), path)
@@ -143,9 +133,8 @@ def comparison_page(results: Sequence[Result]) -> str:
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Scenes, where they differ", parts.table(["", *names], rows) if rows else "")
-    page.section(
-        "measures", "Measures", parts.side_by_side(_measures(results), [*names, *["change"] * (len(names) == 2)])
-    )
+    heads = [*names, *["change"] * (len(names) == 2)]
+    page.section("measures", "Measures", parts.side_by_side(_measures(results), heads))
     histories = {n: r.history() for n, r in of_name.items() if (r.directory / "history.csv").is_file()}
     curves = [page.chart(column, charts.compared(histories, column, label, factor)) for column, label, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")

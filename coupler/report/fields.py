@@ -39,11 +39,9 @@ FIELDS = {
 
 
 def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple[NDArray[np.int64], NDArray]:
-    """Points and weights that interpolate a value at each place inside a cloud.
-
-    points: (n, 3) m. places: (k, 3) m. void: m, a place without a point so near lies in none of the metal. Returns
-    indices and weights, (k, j) each; weights of a place sum to one, and are not numbers in a void.
-    """
+    """Points and weights that interpolate a value at each place inside a cloud. points: (n, 3) m. places: (k, 3) m. void: m, a place
+    without a point so near lies in none of the metal. Returns indices and weights, (k, j) each; weights of a place sum to one, and are
+    not numbers in a void."""
     near = min(NEAR, len(points))
     tree, inside = cKDTree(points), np.arange(len(places))
     distance, index = np.full((len(places), near), np.inf), np.zeros((len(places), near), np.int64)

@@ -50,41 +50,30 @@ class Page:
         if figure is None:
             return ""
         self.charts[name] = figure
-        return (
-            f'<figure>{f"<h3>{escape(heading)}</h3>" if heading else ""}<div class="chart" id="{name}"></div></figure>'
-        )
+        head = f"<h3>{escape(heading)}</h3>" if heading else ""
+        return f'<figure>{head}<div class="chart" id="{name}"></div></figure>'
 
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
         """Text of the whole HTML file."""
-        here = files(__package__)
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
-        return Template((here / "page.html").read_text(encoding="utf-8")).substitute(
-            title=escape(heading),
-            under=under,
-            top=top,
-            css=(here / "page.css").read_text(encoding="utf-8"),
-            nav="".join(f'<a href="#{name}">{escape(word)}</a>' for name, word, _ in self.sections),
-            sections="\n".join(
-                f'<section id="{name}"><h2>{escape(word)}</h2>\n{body}</section>' for name, word, body in self.sections
-            ),
-            footer=footer,
-            data=data.replace("<", "\\u003c"),
-            plotly=get_plotlyjs(),
-            js=(here / "page.js").read_text(encoding="utf-8"),
-        )
+        text = {
+            kind: (files(__package__) / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+        }
+        nav = "".join(f'<a href="#{name}">{escape(word)}</a>' for name, word, _ in self.sections)
+        each = (f'<section id="{name}"><h2>{escape(word)}</h2>\n{body}</section>' for name, word, body in self.sections)
+        return Template(text["html"]).substitute(
+            title=escape(heading), under=under, top=top, css=text["css"], nav=nav, sections="\n".join(each), footer=footer,
+            data=data.replace("<", "\\u003c"), plotly=get_plotlyjs(), js=text["js"],
+        )  # fmt: skip
 
 
 def write_report(
-    result: Result,
-    path: str | Path | None = None,
-    stage: Callable[[str], None] = lambda text: None,
+    result: Result, path: str | Path | None = None, stage: Callable[[str], None] = lambda text: None,
     coating: Sequence[tuple[str, str]] = (),
-) -> Path:
-    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text):
-    called with the name of each step. coating: measures of the coating, label and value each (`studies.coating.lines`).
-
-    Returns the path. Raises StoreError if a file of the run is damaged or the page cannot be written.
-    """
+) -> Path:  # fmt: skip
+    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text): called with the
+    name of each step. coating: measures of the coating, label and value each (`studies.coating.lines`). Returns the path. Raises
+    StoreError if a file of the run is damaged or the page cannot be written."""
     path = Path(path) if path is not None else result.directory / "report.html"
     write_text(path, report(result, stage, coating))
     return path
@@ -143,10 +132,8 @@ def report(
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps to draw, `most` at most: in even times up to the greatest deformation, if the summary names it, and the last step.
-
-    For several impacts their greatest deformations and the last step; without any, evenly spaced steps.
-    """
+    """Steps to draw, `most` at most: in even times up to the greatest deformation, if the summary names it, and the last step. For
+    several impacts their greatest deformations and the last step; without any, evenly spaced steps."""
     times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1
     peaks = list(_named_times(result.summary).values())
@@ -232,10 +219,8 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
-        images = "".join(
-            f'<img src="{embedded(_panel(section, name, ends))}" alt="cut at {time}: {FIELDS[name].label}">'
-            for name, ends in ranges.items()
-        )
+        panels = ((embedded(_panel(section, name, ends)), FIELDS[name].label) for name, ends in ranges.items())
+        images = "".join(f'<img src="{image}" alt="cut at {time}: {label}">' for image, label in panels)
         caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')
     return "".join(pictures)
@@ -260,19 +245,15 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) 
     lines = [profile for step in steps for profile in profiles(result, step, names, at, reach)]
     last = [profile for profile in lines if profile.time == max(line.time for line in lines)]
     span = (min(float(profile.depth[0]) for profile in lines) * picture.MICRO, reach * picture.MICRO)
-    figures = {
-        f"depth-{k}": charts.with_depth(lines, k, field.words, field.factor, span) for k, field in FIELDS.items()
-    }
+    figures = {f"depth-{k}": charts.with_depth(lines, k, f.words, f.factor, span) for k, f in FIELDS.items()}
     figures["depth-stress"] = charts.stress_with_depth(last, span)
     places = "".join(page.chart(name, figure) for name, figure in figures.items())
     caption = (
         "On the vertical line through the middle of the splat, from its top into the substrate; the gap in each line is where the "
         "bodies meet, the dashed line the undeformed surface. Normal stresses at the last time, tension positive."
     )
-    key = "".join(
-        f'<span><i style="background:{colour}"></i>{time * 1e9:.1f} ns</span>'
-        for time, colour in charts.shades(profile.time for profile in lines).items()
-    )
+    colours = charts.shades(profile.time for profile in lines)
+    key = "".join(f'<span><i style="background:{c}"></i>{time * 1e9:.1f} ns</span>' for time, c in colours.items())
     head = f'<p class="caption">{caption}</p><p class="key">{key}</p>'
     return f'{head}<div class="four">{places}</div>' if places else ""
 

@@ -9,21 +9,8 @@ from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
-from .words import (
-    Line,
-    brief,
-    columns,
-    error_note,
-    errors_of,
-    impacts,
-    of_run,
-    plain,
-    remarks,
-    shown,
-    span,
-    table_lines,
-    title,
-)
+from . import words
+from .words import Line, brief, columns, errors_of, impacts, plain, shown, span, table_lines
 
 FRONT_ROWS = 8  # of particles, that the first sheet has room for
 SIDE_BY_SIDE = 6  # impacts
@@ -47,10 +34,8 @@ def table(
     off: Sequence[int] = (),
     stack: bool = False,
 ) -> str:
-    """A table of texts. numbers: columns that are set to the right; off: rows in grey; a head of empty texts is left out.
-
-    stack: on a narrow screen the cells of a row stand below each other, each after its head.
-    """
+    """A table of texts. numbers: columns that are set to the right; off: rows in grey; a head of empty texts is left out. stack: on a
+    narrow screen the cells of a row stand below each other, each after its head."""
     kinds = ["n" if k in numbers else "" for k in range(len(head))]
     above = f"<thead>{_row(head, kinds, 'th')}</thead>" if any(head) else ""
     heads = head if stack else ()
@@ -75,7 +60,7 @@ def front(summary: Summary) -> str:
     """The main measures with their errors; of several impacts a row for each of the first FRONT_ROWS."""
     (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
     more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
-    note = escape("; ".join(text for text in (more, of_run(summary), error_note(summary)) if text))
+    note = escape("; ".join(text for text in (more, words.of_run(summary), words.error_note(summary)) if text))
     return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
         f'<p class="caption">{note}</p>' if note else ""
     )
@@ -93,7 +78,7 @@ def measures(summary: Summary) -> str:
         heads = [list(blocks)[k] for k in used] if len(used) > 1 else [""] * len(used)
         rows = [[line.label, *(line.cells[k] for k in used), line.unit] for line in lines]
         tables.append(table([group.capitalize(), *heads, ""], rows, numbers=range(1, 1 + len(used))))
-    items = "".join(f"<li>{escape(text)}</li>" for text in remarks(summary))
+    items = "".join(f"<li>{escape(text)}</li>" for text in words.remarks(summary))
     note = f'<ul class="caption">{items}</ul>' if items else ""
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables or note else ""
 
@@ -153,7 +138,7 @@ def conditions(result: Result) -> str:
     if len(bodies) > FRONT_ROWS:
         reach = max(math.hypot(*body["offset"]) for body in bodies)
         heat = span([body["temperature"] for body in bodies])
-        lines = [("particles", f"{title(result)}; {heat} K, centres within {reach * 1e6:.3g} µm of the axis")]
+        lines = [("particles", f"{words.title(result)}; {heat} K, centres within {reach * 1e6:.3g} µm of the axis")]
     faces = f"sides {target['sides']}, bottom {target['bottom']}"
     size = f"{target['diameter'] * 1e6:g} µm across, {target['height'] * 1e6:g} µm high, {target['temperature']:g} K"
     lines += [("target", f"{target['material']['name']} cylinder, {size}, {faces}")]
@@ -161,20 +146,13 @@ def conditions(result: Result) -> str:
     lines += [("spray", str(plan.get("spray", "")))]
     is_held = plan["adhesion"]["kind"] != "none"
     bond = {key: value for key, value in plan["adhesion"].items() if is_held and value not in (None, [])}
-    adhesion = ", ".join(
-        f"{key.replace('_', ' ')} {shown(key, value)}".removeprefix("kind ") for key, value in bond.items()
-    )
-    lines += [("adhesion", adhesion or "none"), ("contact", f"friction {plan['friction']:g}")]
-    end = {"rest": "at rest, at most ", "greatest": "at the greatest deformation, at most "}.get(
-        bodies[0]["end_at"], ""
-    )
-    lines += [("ends", f"{end}{span([1e9 * body['end_time'] for body in bodies])} ns after the start of an impact")]
-    lines += [
-        (
-            "resolution",
-            ", ".join([f"preset {plan['preset']}", *_resolution(plan, result.summary), f"engine {plan['engine']}"]),
-        )
-    ]
+    law = (f"{key.replace('_', ' ')} {shown(key, value)}".removeprefix("kind ") for key, value in bond.items())
+    lines += [("adhesion", ", ".join(law) or "none"), ("contact", f"friction {plan['friction']:g}")]
+    ends = {"rest": "at rest, at most ", "greatest": "at the greatest deformation, at most "}
+    times = f"{span([1e9 * body['end_time'] for body in bodies])} ns after the start of an impact"
+    lines += [("ends", ends.get(bodies[0]["end_at"], "") + times)]
+    resolution = (f"preset {plan['preset']}", *_resolution(plan, result.summary), f"engine {plan['engine']}")
+    lines += [("resolution", ", ".join(resolution))]
     off = [name.replace("_", " ") for name, on in plan["effects"].items() if on is False]
     lines += [("effects", f"without {', '.join(off)}" if off else "all on")]
     return definitions(lines)
@@ -219,11 +197,9 @@ def provenance(summary: Summary) -> str:
         return ""
     versions = {str(k): str(v) for k, v in (record.get("versions") or {}).items()}
     commit, seed = (str(record.get(key) or "") for key in ("commit", "seed"))
+    program = f"coldspray {versions.pop('coldspray', '')}, commit {commit[:12] or 'unknown'}{commit[40:]}"
     lines = [
-        (
-            "computed",
-            f"{record.get('date')} by coldspray {versions.pop('coldspray', '')}, commit {commit[:12] or 'unknown'}{commit[40:]}",
-        ),
+        ("computed", f"{record.get('date')} by {program}"),
         ("on", f"{record.get('host')}, {record.get('processor')}, {record.get('cores')} cores, {record.get('system')}"),
         ("with", ", ".join(f"{name} {version}" for name, version in versions.items())),
         ("scene", f"sha256 {str(record.get('scene_sha256'))[:16]}" + (f", seed {seed}" if seed else "")),
@@ -250,14 +226,13 @@ def material_data(result: Result) -> str:
         return ""
     bodies = [body["material"] for body in (*result.plan["impacts"], result.plan["target"])]
     metals = {m["name"]: m | {"K": m["rho"] * m["c0"] ** 2} for m in bodies}
-    rows = [
-        (label, *(f"{metal[key] * factor:.4g}" for metal in metals.values()), unit)
-        for key, label, factor, unit in CONSTANTS
-    ]
+    rows = []
+    for key, label, factor, unit in CONSTANTS:
+        rows.append((label, *(f"{metal[key] * factor:.4g}" for metal in metals.values()), unit))
     for law in dict.fromkeys(metal["strength"]["law"] for metal in metals.values()):
         own = [m["strength"]["numbers"] if m["strength"]["law"] == law else {} for m in metals.values()]
-        words = law.replace("_", " ")
-        rows += [(f"{words} {key}", *(f"{n[key]:.4g}" if n else "" for n in own), "") for key in max(own, key=len)]
+        name = law.replace("_", " ")
+        rows += [(f"{name} {key}", *(f"{n[key]:.4g}" if n else "" for n in own), "") for key in max(own, key=len)]
     sources = "".join(
         f'<p class="caption">{escape(name)}: {escape(m["source"] or "no source given")}. {escape(m["note"])}'
         f" Strength: {escape(m['strength']['source'] or 'no source given')}.</p>"

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -65,12 +65,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class Cut:
-    """The cut at one time (s). Lengths in um, values in the units of `FIELDS`.
-
-    loops: outline of the particle, (k, 2) each. corners: polygons of the target, (q, 4, 2). rim: surfaces of
-    substrate and splats, (r, 2, 2); is_substrate (r,): the substrate's, where there are splats.
-    values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`.
-    """
+    """The cut at one time (s). Lengths in um, values in the units of `FIELDS`. loops: outline of the particle, (k, 2) each. corners:
+    polygons of the target, (q, 4, 2). rim: surfaces of substrate and splats, (r, 2, 2); is_substrate (r,): the substrate's, where there
+    are splats. values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`."""
 
     time: float
     level: float
@@ -99,17 +96,14 @@ def drawable(result: Result) -> list[str]:
 
 def stage(result: Result) -> Stage:
     """The plane through the middle of the particle at the start; of several particles the first plane that cuts the most of them.
-
-    Raises StoreError without a stored step.
-    """
+    Raises StoreError without a stored step."""
     if not stored_steps(result):
         raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
-    surface, count = result.fields(0, "surface"), len(result.fields(0, "particle").points)
-    start = surface.points
-    volume = abs(enclosed_volume(start, surface.cells))
+    particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
+    start, volume = surface.points, abs(enclosed_volume(surface.points, surface.cells))
     plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
-    level = float(result.fields(0, "target").points[:, 2].max()) * MICRO
-    return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO, VOID * (volume / max(count, 1)) ** (1 / 3))
+    void = VOID * (volume / max(len(particle.points), 1)) ** (1 / 3)
+    return Stage(plane, float(target.points[:, 2].max()) * MICRO, float(np.ptp(start[:, 0])) * MICRO, void)
 
 
 def _most_cut(plan: Values, first: float) -> float:
@@ -124,10 +118,8 @@ def _most_cut(plan: Values, first: float) -> float:
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
-    """Extent of a picture, um: particle, splats and jets of the target at all the given steps, and a margin.
-
-    While a particle flies away it keeps its size (`reach`).
-    """
+    """Extent of a picture, um: particle, splats and jets of the target at all the given steps, and a margin. While a particle flies
+    away it keeps its size (`reach`)."""
     ends, D = [], at.diameter
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
@@ -152,10 +144,8 @@ def reach(raised: NDArray, at: Stage) -> float:
 
 
 def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS) -> Cut:
-    """Cut particle and target at a stored step; names: fields of `FIELDS`; pixels: along the particle's longer side.
-
-    Raises StoreError if something that is needed is missing.
-    """
+    """Cut particle and target at a stored step; names: fields of `FIELDS`; pixels: along the particle's longer side. Raises StoreError
+    if something that is needed is missing."""
     particle, surface, target = read(result, step, names)
     loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
     images, extent = _images(particle, names, loops, at, pixels)
@@ -193,10 +183,8 @@ def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]
 
 
 def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
-    """The cut through all bodies after the closing stage, and the colours of COLD_FIELDS: tension and compression reach as far.
-
-    Raises StoreError where nothing is stored of that stage.
-    """
+    """The cut through all bodies after the closing stage, and the colours of COLD_FIELDS: tension and compression reach as far. Raises
+    StoreError where nothing is stored of that stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
     section = cut_bodies(bodies, COLD_FIELDS, at, seen)
@@ -209,15 +197,13 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     """Particle, surface and target at a stored step, with all that a picture needs. Raises StoreError if they lack it."""
     steps = stored_steps(result)
     if not -steps <= step < steps:
-        raise StoreError(
-            f"{result.directory} has {steps} steps of particle, surface and target, there is no step {step}"
-        )
+        have = f"{steps} steps of particle, surface and target"
+        raise StoreError(f"{result.directory} has {have}, there is no step {step}")
     particle, surface, target = (result.fields(step % steps, domain) for domain in DOMAINS)
     missing = {name for name in names for fields in (particle, target) if name not in fields.data}
     if missing or target.cells.shape[1:] != (4,) or surface.cells.shape[1:] != (3,):
-        raise StoreError(
-            f"{result.directory} lacks fields that a picture needs: {', '.join(sorted(missing)) or 'cells'}"
-        )
+        lacking = ", ".join(sorted(missing)) or "cells"
+        raise StoreError(f"{result.directory} lacks fields that a picture needs: {lacking}")
     numbers: list[NDArray] = [fields.points for fields in (particle, surface, target)]
     numbers += [fields.data[name] for name in names for fields in (particle, target)]
     if not all(np.isfinite(part).all() for part in numbers):
@@ -278,13 +264,11 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
     widths = np.where(section.is_substrate, 2.2, 1.0)
-    axis.add_collection(
-        LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
-    )
+    rim = LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
+    axis.add_collection(rim)
     if section.loops:
-        outline = Outline.make_compound_path(
-            *(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
-        )
+        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
+        outline = Outline.make_compound_path(*closed)
         image, extent = section.images[name], section.extent
         inside: list[Artist] = [axis.imshow(image, extent=extent, origin="lower", cmap=colours, norm=scale, zorder=3)]
         if (hollow := np.isnan(image)).any():
@@ -330,15 +314,8 @@ def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
     length = power * max(step for step in (1, 2, 5) if step * power <= wanted)
     x, z = left + 0.03 * (right - left), bottom + 0.06 * (top - bottom)
     axis.plot([x, x + length], [z, z], color="black", linewidth=3, solid_capstyle="butt", zorder=7)
-    axis.annotate(
-        f"{length:g} µm",
-        (x + length / 2, z),
-        (0.0, 4.0),
-        textcoords="offset points",
-        ha="center",
-        fontsize=fontsize,
-        zorder=7,
-    )
+    style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": fontsize, "zorder": 7}
+    axis.annotate(f"{length:g} µm", (x + length / 2, z), (0.0, 4.0), **style)
 
 
 def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:
@@ -355,10 +332,8 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
 
 
 def label_log(axis: Axis, factor: float = 1.0) -> None:
-    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten, or in even steps where these are too few.
-
-    factor: from the values to the unit of the labels.
-    """
+    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten, or in even steps where these are too few. factor:
+    from the values to the unit of the labels."""
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
@@ -389,11 +364,9 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
 
 
 def section_picture(result: Result, path: str | Path | None = None, step: int = -1) -> Path:
-    """Draw the cut through the middle of particle and target, once by temperature, once by plastic strain.
-
-    path: PNG file, `section.png` in the run's folder unless given. step: stored step, -1 is the last.
-    Returns the path. Raises StoreError if something to draw is missing or the picture cannot be written.
-    """
+    """Draw the cut through the middle of particle and target, once by temperature, once by plastic strain. path: PNG file,
+    `section.png` in the run's folder unless given. step: stored step, -1 is the last. Returns the path. Raises StoreError if something
+    to draw is missing or the picture cannot be written."""
     path = Path(path) if path is not None else result.directory / "section.png"
     at, names = stage(result), ("T", "eps_p")
     read(result, step, names)

@@ -17,10 +17,8 @@ SAMPLES = 60  # in each body
 
 @dataclass(frozen=True)
 class Profile:
-    """Values along the line at one time (s). depth (k,) m below the undeformed surface, increasing.
-
-    body: "splat" or "substrate". values: name -> (k, ...) in SI units, stress in the order xx yy zz xy yz xz.
-    """
+    """Values along the line at one time (s). depth (k,) m below the undeformed surface, increasing. body: "splat" or "substrate".
+    values: name -> (k, ...) in SI units, stress in the order xx yy zz xy yz xz."""
 
     time: float
     body: str
@@ -29,11 +27,9 @@ class Profile:
 
 
 def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: float) -> list[Profile]:
-    """Profiles through splat and substrate at a stored step, no numbers where the splat is hollow.
-
-    names: fields that are stored; those a body lacks are left out. at: plane, undeformed surface, size of a void.
-    reach (m): depth at which to end. Raises StoreError if a file is missing or damaged.
-    """
+    """Profiles through splat and substrate at a stored step, no numbers where the splat is hollow. names: fields that are stored; those
+    a body lacks are left out. at: plane, undeformed surface, size of a void. reach (m): depth at which to end. Raises StoreError if a
+    file is missing or damaged."""
     level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))
@@ -42,11 +38,8 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
         return np.column_stack([np.full_like(z, x), np.full_like(z, y), z])
 
     def profile(fields: Fields, body: str, z: NDArray, nodes: NDArray, weight: NDArray) -> Profile:
-        values = {
-            name: np.einsum("kj,kj...->k...", weight, at_nodes(fields, name)[nodes])
-            for name in names
-            if name in fields.data
-        }
+        known = {name: at_nodes(fields, name)[nodes] for name in names if name in fields.data}
+        values = {name: np.einsum("kj,kj...->k...", weight, at) for name, at in known.items()}
         return Profile(fields.time, body, level - z, values)
 
     lines = []
@@ -66,10 +59,8 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
 
 
 def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:
-    """Heights, from below, at which the vertical line at x, y meets a closed surface: in and out, in and out.
-
-    points: (n, 3). triangles: (m, 3).
-    """
+    """Heights, from below, at which the vertical line at x, y meets a closed surface: in and out, in and out. points: (n, 3).
+    triangles: (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     u, v = b[:, :2] - a[:, :2], c[:, :2] - a[:, :2]
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

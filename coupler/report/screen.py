@@ -28,21 +28,15 @@ def screen(result: Result, verbose: bool = False) -> str:
     decided = verdict(summary)
     head = [f"verdict: {text}" if k == 0 else f"  {text}" for k, text in enumerate(decided)]
     head += [f"doubtful: {text}" for text in doubts]
-    measured = error_note(summary)
-    tail = [
-        *([measured] if measured else []),
-        *notes,
-        *(f"warning: {text}" for text in map(str, warnings) if text not in doubts),
-    ]
+    measured = [text] if (text := error_note(summary)) else []
+    tail = [*measured, *notes, *(f"warning: {text}" for text in map(str, warnings) if text not in doubts)]
     stream = io.StringIO()
     width = shutil.get_terminal_size((_WIDTH, 30)).columns
-    side_by_side = verbose and len(summary["impacts"]) <= _MOST_COLUMNS
-    if side_by_side:
+    if verbose and len(summary["impacts"]) <= _MOST_COLUMNS:  # side by side
         Console(file=stream, width=width, force_jupyter=False).print(summary_table(result))
     else:
-        Console(file=stream, width=width, highlight=False, force_jupyter=False).print(
-            Text(title(result)), _brief(result, verbose), Text(of_run(summary)), sep="\n"
-        )
+        console = Console(file=stream, width=width, highlight=False, force_jupyter=False)
+        console.print(Text(title(result)), _brief(result, verbose), Text(of_run(summary)), sep="\n")
     return "\n".join([*head, *(line.rstrip() for line in stream.getvalue().strip().splitlines()), *tail])
 
 

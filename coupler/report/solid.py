@@ -57,14 +57,12 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
         skin, _ = boundary_faces(target.cells)
         loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
         rim, _ = surfaces_cut(target, at)
-        shown.append(
-            {
-                "target": _target(target.points * MICRO, skin, nodal, box),
-                "target cut": _target_cut(target, nodal, at, box),
-                "particle": _particle(particle.points, cloud, surface, kept),
-                "particle cut": _particle_cut(particle.points, cloud, loops, at),
-            }
-        )
+        meshes = {
+            "target": _target(target.points * MICRO, skin, nodal, box),
+            "target cut": _target_cut(target, nodal, at, box),
+        }
+        meshes["particle"] = _particle(particle.points, cloud, surface, kept)
+        shown.append({**meshes, "particle cut": _particle_cut(particle.points, cloud, loops, at)})
         lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(rim[_reaches_into(rim, box)]))
         times.append(round(particle.time * 1e9, 3))
     every = {name: np.concatenate([mesh[2][name] for meshes in shown for mesh in meshes.values()]) for name in ranges}
@@ -82,11 +80,9 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
 
 
 def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[NDArray, NDArray]:
-    """Vertices (k,) to keep of a surface and triangles (j, 3) between them (as indices into these k).
-
-    points: (n, 3). triangles: (m, 3). Vertices in one cube of a grid are merged into the one nearest to their mean;
-    the grid is as fine as `most` vertices allow. A surface that is small enough stays as it is.
-    """
+    """Vertices (k,) to keep of a surface and triangles (j, 3) between them (as indices into these k). points: (n, 3). triangles: (m,
+    3). Vertices in one cube of a grid are merged into the one nearest to their mean; the grid is as fine as `most` vertices allow. A
+    surface that is small enough stays as it is."""
     if len(points) <= most:
         return np.arange(len(points)), triangles
     size = float(np.ptp(points, axis=0).max())
@@ -190,22 +186,19 @@ def _colours(name: str, ends: Range, least: float, span: float) -> dict[str, obj
 
 
 def _frame(
-    meshes: Mapping[str, Mesh],
-    lines: Sequence[NDArray],
-    box: NDArray,
-    reach: Mapping[str, tuple[float, float]],
+    meshes: Mapping[str, Mesh], lines: Sequence[NDArray], box: NDArray, reach: Mapping[str, tuple[float, float]],
     triangles: dict[str, int],
-) -> dict[str, object]:
+) -> dict[str, object]:  # fmt: skip
     span = box[1] - box[0]
     frame: dict[str, object] = {"lines": [np.round(line, 2).ravel().tolist() for line in lines]}
     for kind, (points, corners, values) in meshes.items():
+        of = {name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()}
+        # a box as large again on every side, for triangles that only reach into the one that is shown
+        places = _packed((points - box[0] + span) / (3 * span) * TOP)
         frame[kind] = {
             "triangles": triangles.setdefault(_packed(corners), len(triangles)),
-            # a box as large again on every side, for triangles that only reach into the one that is shown
-            "points": _packed((points - box[0] + span) / (3 * span) * TOP),
-            "values": {
-                name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()
-            },
+            "points": places,
+            "values": of,
         }
     return frame
 

@@ -27,25 +27,14 @@ from ..measures import (
 NAMED = 3  # numbers that a title names
 MOST_VERDICTS = 6  # particles whose verdicts stand in a line each
 KEYS = (
-    *CONVERGING,
-    "numerical_dissipation",
-    "energy_drift",
-    "deposition_efficiency",
-    "deposition_efficiency_range",
-    "wall_s",
-)
+    *CONVERGING, "numerical_dissipation", "energy_drift", "deposition_efficiency", "deposition_efficiency_range", "wall_s",
+)  # fmt: skip
 OF_EACH = (
     "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
 )  # fmt: skip
-_ABOVE = (
-    "effects",
-    "warnings",
-    "undecided",
-    "verdict_criterion",
-    "verdict_by",
-    "verdict_by_bonds",
-    "verdict_rests_on",
-)  # not in the tables
+_ABOVE = (  # not in the tables
+    "effects", "warnings", "undecided", "verdict_criterion", "verdict_by", "verdict_by_bonds", "verdict_rests_on",
+)  # fmt: skip
 _BLOCKS = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
 Block = Mapping[str, object]  # measures of one impact or run at one time
 
@@ -72,10 +61,8 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """Heading -> values: the greatest deformation of the last impact, and its end with all else of it and of the run.
-
-    Lists of words, tables and lists of tables are left out.
-    """
+    """Heading -> values: the greatest deformation of the last impact, and its end with all else of it and of the run. Lists of words,
+    tables and lists of tables are left out."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
@@ -83,18 +70,13 @@ def columns(summary: Summary) -> dict[str, Block]:
 
 
 def plain(values: Block) -> Block:
-    """The values that fit into a table of measures: without lists of words, tables and lists of tables.
-
-    A particle that sticks has no rebound velocity, and no line of it.
-    """
-
-    def is_nested(value: object) -> bool:
-        return isinstance(value, Mapping) or (
-            isinstance(value, list) and not (value and isinstance(value[0], int | float | str))
-        )
-
+    """The values that fit into a table of measures: without lists of words, tables and lists of tables. A particle that sticks has no
+    rebound velocity, and no line of it."""
     hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
-    return {key: value for key, value in values.items() if key not in hidden and not is_nested(value)}
+    first = {k: next(iter(value), {}) if isinstance(value, list) else value for k, value in values.items()}
+    return {
+        key: values[key] for key, item in first.items() if key not in hidden and not isinstance(item, Mapping | list)
+    }
 
 
 def shown(key: str, value: object, error: float | None = None) -> str:
@@ -142,11 +124,9 @@ def impacts(summary: Summary) -> list[Block]:
 
 
 def verdict(summary: Summary) -> list[str]:
-    """Lines with the verdict of a run; none without one.
-
-    For one particle a line with the basis of the verdict. For several the number that stick and those that have come off later; then
-    a line for each, or beyond MOST_VERDICTS the number decided by each method, and the closest margin.
-    """
+    """Lines with the verdict of a run; none without one. For one particle a line with the basis of the verdict. For several the number
+    that stick and those that have come off later; then a line for each, or beyond MOST_VERDICTS the number decided by each method, and
+    the closest margin."""
     records = summary.get("impacts", [])
     counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
     if sum(counts.values()) == 0:
@@ -215,15 +195,11 @@ def _come_off(records: Sequence[Block]) -> list[str]:
     stuck = [number for number in whole if records[number - 1].get("verdict") == STICKS]
     others = [number for number in whole if number not in stuck]
     parts = [number for number, share in shares.items() if share < _WHOLE]
-    texts = []
-    if stuck:
-        verbs = "sticks at its impact and has" if len(stuck) == 1 else "stick at their impact and have"
-        texts.append(f"{_numbers(stuck)} {verbs} come off later")
-    if others:
-        texts.append(f"{_numbers(others)} {'has' if len(others) == 1 else 'have'} come off after the impact")
-    if parts:
-        texts.append(f"parts of {_numbers(parts)} have come off later")
-    return texts
+    verbs = "sticks at its impact and has" if len(stuck) == 1 else "stick at their impact and have"
+    texts = [f"{_numbers(stuck)} {verbs} come off later"] if stuck else []
+    verb = "has" if len(others) == 1 else "have"
+    texts += [f"{_numbers(others)} {verb} come off after the impact"] if others else []
+    return texts + ([f"parts of {_numbers(parts)} have come off later"] if parts else [])
 
 
 def _decided_by(records: Sequence[Block]) -> list[str]:
@@ -237,15 +213,10 @@ def _decided_by(records: Sequence[Block]) -> list[str]:
 
 def _closest(records: Sequence[Block]) -> list[str]:
     """The particle whose margin is the least, in a line."""
-    margins = {
-        k: margin
-        for k, record in enumerate(records)
-        if record.get("verdict") != UNDECIDED and isinstance(margin := record.get("margin_m_s"), int | float)
-    }
-    if not margins:
-        return []
-    k = min(margins, key=lambda k: abs(margins[k]))
-    return [f"closest: particle {k + 1} {_with_reason(records[k], of_several=True)}"]
+    decided = [k for k, record in enumerate(records) if record.get("verdict") != UNDECIDED]
+    margins = {k: abs(margin) for k in decided if isinstance(margin := records[k].get("margin_m_s"), int | float)}
+    k = min(margins, key=margins.__getitem__, default=None)
+    return [] if k is None else [f"closest: particle {k + 1} {_with_reason(records[k], of_several=True)}"]
 
 
 def alerts(summary: Summary) -> list[str]:
@@ -372,19 +343,15 @@ def fill_table(table: Table, groups: Mapping[str, Iterable[Line]]) -> None:
 
 
 def summary_table(result: Result) -> Table:
-    """The summary for a terminal, in units that people use, as a rich table.
-
-    Of one impact its greatest deformation and its end stand side by side, with all else in the last column. Of several impacts each
-    has a column with its own end, and what belongs to the whole run stands below.
-    """
+    """The summary for a terminal, in units that people use, as a rich table. Of one impact its greatest deformation and its end stand
+    side by side, with all else in the last column. Of several impacts each has a column with its own end, and what belongs to the whole
+    run stands below."""
     summary = result.summary
     several = impacts(summary)
     blocks, errors = columns(summary), errors_of(summary)
     if len(several) > 1:
-        blocks, errors = (
-            {f"impact\u00a0{k + 1} {_particle_of(block)}".strip(): block for k, block in enumerate(several)},
-            {},
-        )
+        heads = (f"impact\u00a0{k + 1} {_particle_of(block)}".strip() for k, block in enumerate(several))
+        blocks, errors = dict(zip(heads, several, strict=True)), {}
     table = Table(title=Text(title(result)), title_justify="left", title_style="bold")
     table.add_column("")
     for heading in blocks or {"": {}}:

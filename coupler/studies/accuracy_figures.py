@@ -1,10 +1,10 @@
 """The work-precision diagram: error of each measure over processor time, as a picture (PNG) and as a page (HTML)."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -13,7 +13,7 @@ from ..measures import CONVERGING, axis_label
 from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
-from ..report.page import Page
+from ..report.page import Page, embedded
 from ..report.picture import axes_at, blank, label_log, save
 from ..report.words import shown
 from . import accuracy_fit as fit
@@ -42,22 +42,18 @@ def order_of(rows: Rows, measure: str, T_0: float) -> str:
 
 
 def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Path]:
-    """Write accuracy.png and accuracy.html into a folder; their paths. heading: of the scene; T_0: K, of its last particle.
-
-    Raises StoreError if a file cannot be written.
-    """
+    """Write accuracy.png and accuracy.html into a folder; their paths. heading: of the scene; T_0: K, of its last particle. Raises
+    StoreError if a file cannot be written."""
     picture, page = folder / "accuracy.png", folder / "accuracy.html"
-    save(diagram(rows, heading, T_0), picture)
-    write_text(page, html(rows, heading, T_0, picture.read_bytes()))
+    save(figure := diagram(rows, heading, T_0), picture)
+    write_text(page, html(rows, heading, T_0, figure))
     return picture, page
 
 
 def diagram(rows: Rows, heading: str, T_0: float) -> Figure:
     """Figure with a panel for each measure."""
-    across = 3
-    down = -(-len(CONVERGING) // across)
-    wide, tall, top = 4.0, 3.1, 0.95  # inches
-    size = (across * wide, down * tall + top)
+    across, wide, tall, top = 3, 4.0, 3.1, 0.95  # the last ones in inches
+    size = (across * wide, -(-len(CONVERGING) // across) * tall + top)
     figure = blank(*size, dpi=110)
     for k, measure in enumerate(CONVERGING):
         column, row = k % across, k // across
@@ -81,23 +77,13 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
     panel.set_title(f"{record(measure).short}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
     if not errors:  # no reference, or a measure that is zero in it
         panel.text(0.5, 0.5, "nothing to compare with", ha="center", fontsize=9, transform=panel.transAxes)
-    for k, axis in enumerate(AXES):
-        own = sorted(
-            (float(row["cpu_s"]), max(abs(e), fit.PERCENT_AT_LEAST)) for row, e in errors if row["axis"] == axis
-        )
+    places = [(row, (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST))) for row, error in errors]
+    for axis, mark, colour in zip(AXES, MARKS, charts.LINES, strict=True):
+        own = np.array(sorted(at for row, at in places if row["axis"] == axis)).reshape(-1, 2)
         style = {"lw": 1.4, "ls": "-"} if axis == "points" else {"lw": 0.0}
-        panel.plot(
-            [time for time, _ in own],
-            [percent for _, percent in own],
-            marker=MARKS[k],
-            ms=5,
-            color=charts.LINES[k],
-            label=axis,
-            **style,
-        )
-    for row, error in errors:
+        panel.plot(*own.T, marker=mark, ms=5, color=colour, label=axis, **style)
+    for row, at in places:
         if name := preset_of(row):
-            at = (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST))
             panel.annotate(name, at, xytext=(5, 5), textcoords="offset points", fontsize=8.5, color=charts.LINES[0])
     best = fit.reference(rows)
     if best is not None:
@@ -131,13 +117,10 @@ def lines(rows: Rows) -> list[str]:
     return in_columns(cells)
 
 
-def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
-    """The page: the picture (a PNG file), the table, and what failed. Opens offline."""
-    page = Page()
-    address = "data:image/png;base64," + base64.b64encode(picture).decode()
-    page.section(
-        "diagram", "Work and precision", f'<figure><img src="{address}" alt="work-precision diagram"></figure>'
-    )
+def html(rows: Rows, heading: str, T_0: float, figure: Figure) -> str:
+    """The page: the diagram, the table, and what failed. Opens offline."""
+    page, image = Page(), f'<img src="{embedded(figure)}" alt="work-precision diagram">'
+    page.section("diagram", "Work and precision", f"<figure>{image}</figure>")
     page.section("table", "All settings", _table(rows, T_0))
     failed = [(row["axis"], row["setting"], row["points"], row["failed"]) for row in rows if row["failed"]]
     listed = parts.table(("axis", "setting", "points", "why"), failed) if failed else "<p>None.</p>"
@@ -160,8 +143,8 @@ def _table(rows: Rows, T_0: float) -> str:
     for row in rows:
         cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in CONVERGING]
         shown = ["" if error is None else f"{error:+.2f}" for error in cells]
-        notes = filter(None, (preset_of(row), f"version {other_version(row)}" if other_version(row) else ""))
-        name = " ".join([row["setting"], *(f"({note})" for note in notes)])
+        notes = (preset_of(row), f"version {other_version(row)}" if other_version(row) else "")
+        name = " ".join([row["setting"], *(f"({note})" for note in notes if note)])
         lines.append((row["axis"], name, row["points"], row["steps"], f"{float(row['cpu_s']):.3g}", *shown))
     head = ("axis", "setting", "points", "steps", "s", *(f"{record(m).short}, %" for m in CONVERGING))
     return parts.table(head, lines, numbers=range(2, len(head)))

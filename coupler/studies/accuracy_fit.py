@@ -96,11 +96,8 @@ class OrderFit:
 
 
 def fit_order(h: NDArray, values: NDArray, orders: NDArray = ORDERS) -> OrderFit:
-    """Fit value = v + a h^p by least squares, p among `orders` (q,). h (k,): the spacing in any unit, values (k,).
-
-    The interval holds the orders that an F test at 95 % does not tell from the best. Raises ValueError for fewer than FEWEST
-    resolutions.
-    """
+    """Fit value = v + a h^p by least squares, p among `orders` (q,). h (k,): the spacing in any unit, values (k,). The interval holds
+    the orders that an F test at 95 % does not tell from the best. Raises ValueError for fewer than FEWEST resolutions."""
     if len(h) < FEWEST:
         raise ValueError(f"an order needs at least {FEWEST} resolutions, not {len(h)}")
     squares = np.array([float(np.sum(line(h, values, p)[2] ** 2)) for p in orders])

@@ -1,8 +1,4 @@
-"""Measures of a coating: thickness, roughness, porosity, and state of each layer. Reads results, no solver.
-
-The coating is measured on a grid of upright columns (`Columns`): where each passes through matter follows from where it
-crosses the closed surfaces of the bodies, so overlaps and gaps between splats are counted as they are, to the columns' distance.
-"""
+"""Measures of a coating: thickness, roughness, porosity, and state of each layer, on a grid of upright columns (`Columns`)."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from .. import units
@@ -57,11 +53,6 @@ class Splats:
     undecided: tuple[int, ...] = ()
 
     @property
-    def finished(self) -> int:
-        """Number of finished impacts."""
-        return len(self.mass)
-
-    @property
     def deposition_efficiency(self) -> float:
         """Mass that stayed over the mass of all particles that have hit; undecided particles count as stayed."""
         return float(self.mass @ self.stayed / self.mass.sum())
@@ -74,10 +65,8 @@ class Splats:
 
 
 def read(result: Result, before: int | None = None) -> Splats:
-    """The coating that a run has built so far, finished or not; before: until the impact of this number begins.
-
-    Raises StoreError where the files do not name the body of each element.
-    """
+    """The coating that a run has built so far, finished or not; before: until the impact of this number begins. Raises StoreError where
+    the files do not name the body of each element."""
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
@@ -117,10 +106,11 @@ def read(result: Result, before: int | None = None) -> Splats:
 
 
 class Columns:
-    """Upright columns over a disc of `radius` m about `centre`, `step` m apart, of cells `step` high from z = low on.
+    """Upright columns over a disc of `radius` m about `centre`, `step` m apart, of cells `step` high from z = low on. Where a column
+    passes through matter follows from where it crosses the closed surfaces of the bodies.
 
-    matter (k, layers): which cells lie in the substrate or a splat; splat (k, layers): in a splat; double (k, layers): in more than
-    one of all. x, y (k,) m. A cell is in a body where its middle is.
+    matter (k, layers): which cells lie in the substrate or a splat; splat, substrate: in one of these; double: in more than one of all.
+    x, y (k,) m. A cell is in a body where its middle is.
     """
 
     def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
@@ -171,23 +161,14 @@ class Columns:
         downward = area_vectors(points, faces)[face, 2] < 0.0  # is entered
         np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
 
-    def top(self) -> NDArray:
-        """Height (k,) m of the highest matter in each column."""
-        return self._highest(self.matter)
-
-    def interface(self) -> NDArray:
-        """Height (k,) m of the substrate's surface in each column."""
-        return self._highest(self.substrate)
-
-    def _highest(self, matter: NDArray) -> NDArray:
-        there = matter.any(axis=1)
-        last = self.layers - np.argmax(matter[:, ::-1], axis=1)
-        return np.where(there, self.low + last * self.step, self.low)
+    def highest(self, cells: NDArray) -> NDArray:
+        """Height (k,) m of the highest of some cells (k, layers) in each column: of matter the top, of the substrate the interface."""
+        last = self.layers - np.argmax(cells[:, ::-1], axis=1)
+        return np.where(cells.any(axis=1), self.low + last * self.step, self.low)
 
     def voids(self, thinnest: float) -> tuple[NDArray, NDArray]:
-        """Cells (k, layers) without matter below each column's top: (open, closed); closed are those that no way through cells
-        without matter joins to the outside. Voids lower than `thinnest` m are taken for matter.
-        """
+        """Cells (k, layers) without matter below each column's top: (open, closed); closed are those that no way through cells without
+        matter joins to the outside. Voids lower than `thinnest` m are taken for matter."""
         span = max(round(thinnest / self.step), 0)
         whole = np.zeros((self._side, self._side, self.layers), bool)
         whole[self.inside] = self.matter
@@ -207,11 +188,8 @@ class Columns:
 
 
 def roughness(z: NDArray) -> tuple[float, float]:
-    """Sa and Sq, m, of heights z (k,) on an even grid: mean and root mean square of their distance from the mean. ISO 25178-2.
-
-    The plane that they are counted from is parallel to the substrate: one fitted to a disc of a few splats would take the largest of
-    their steps away.
-    """
+    """Sa and Sq, m, of heights z (k,) on an even grid: mean and root mean square of their distance from the mean (ISO 25178-2), which
+    is a plane parallel to the substrate: one fitted to a disc of a few splats would take the largest of their steps away."""
     away = z - z.mean()
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))
 
@@ -278,18 +256,17 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         raise StoreError("no particle has stayed on the target: there is no coating to measure")
     size, planned = splats.element_size, splats.planned
     radius = radius or disc_radius(splats)
-    unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
+    finished = len(splats.mass)
+    unfinished = f"the run is not finished: {finished} of {planned} impacts"
     stress, error = in_plane(splats, radius, "stress")
     return CoatingMeasures(
-        impacts=splats.finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
+        impacts=finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
         undecided=len(splats.undecided), deposition_efficiency=splats.deposition_efficiency,
         least_efficiency=splats.least_efficiency, window_radius_m=radius, column_m=COLUMN * size,
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=stress, stress_error_Pa=error, thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress")[0],
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
-        warnings=([] if splats.finished == planned else [unfinished])
-        + ([] if splats.is_cold else [NOT_COLD]),
-        seeds={},
+        warnings=([] if finished == planned else [unfinished]) + ([] if splats.is_cold else [NOT_COLD]), seeds={},
     )  # fmt: skip
 
 
@@ -301,8 +278,8 @@ def disc_radius(splats: Splats) -> float:
 def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
     """Thickness, heights, roughness, m, and the shares of voids and overlap in a disc of `radius` m, from columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
-    top = columns.top()
-    is_bare = columns.interface() > top - step
+    top = columns.highest(columns.matter)
+    is_bare = columns.highest(columns.substrate) > top - step
     thickness = np.where(is_bare, 0.0, np.maximum(top, 0.0))
     Sa, Sq = roughness(top)
     opened, closed = columns.voids(FINEST * splats.element_size)
@@ -343,10 +320,10 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
     """The measures of a coating in words: label and value with its unit, for the terminal and the page."""
     um = {name: f"{1e6 * value:.1f} µm" for name, value in vars(measures).items() if name.endswith("_m")}
     count, left = measures.impacts, measures.rebounded
-    stay = f"all {count} particles stay" if not left else f"{count - left} of {count} particles stay"
+    stay, least = (f"{count - left} of {count}" if left else f"all {count}") + " particles stay", ""
     if measures.undecided:
         stay += f", {measures.undecided} of these are undecided"
-    least = f"{measures.least_efficiency:.1%} to " if measures.undecided else ""
+        least = f"{measures.least_efficiency:.1%} to "
     is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
     error = "" if measures.stress_error_Pa is None else f" ± {1e-6 * measures.stress_error_Pa:.0f}"
     stress, thermal = 1e-6 * measures.stress_in_plane_Pa, 1e-6 * measures.thermal_in_plane_Pa
@@ -355,38 +332,26 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
         return measures.seeds[key].words(factor, unit) if key in measures.seeds else ""
 
     parts = f" = {stress - thermal:+.0f} MPa of the impacts {thermal:+.0f} MPa of cooling" if is_cold else ""
-    return [
-        (
-            "thickness above the old surface",
-            f"{um['thickness_mean_m']} in the mean, {um['thickness_min_m']} to {um['thickness_max_m']};"
-            f" {measures.bare_share:.1%} of the surface is bare{seeds('thickness_mean_m', 1e6, ' µm')}",
-        ),
-        ("roughness", f"Sa {um['Sa_m']}, Sq {um['Sq_m']}{seeds('Sa_m', 1e6, ' µm')}"),
-        (
-            "porosity",
-            f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; too high by up to {measures.overlap_share:.2%},"
-            f" where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved"
-            + seeds("porosity_closed", 100.0, " %"),
-        ),
-        (
-            "deposition efficiency",
-            f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}{seeds('deposition_efficiency', 100.0, ' %')}",
-        ),
-        (
-            f"{'residual stress' if is_cold else 'stress before cooling'}, in plane",
-            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from place to place"
-            + seeds("stress_in_plane_Pa", 1e-6, " MPa"),
-        ),
-        ("measured", f"within {um['window_radius_m']} of the axis, away from the rim of the patch"),
-        ("error", "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS),
-    ]
+    texts = {
+        "thickness above the old surface": f"{um['thickness_mean_m']} in the mean, {um['thickness_min_m']} to {um['thickness_max_m']};"
+        f" {measures.bare_share:.1%} of the surface is bare{seeds('thickness_mean_m', 1e6, ' µm')}",
+        "roughness": f"Sa {um['Sa_m']}, Sq {um['Sq_m']}{seeds('Sa_m', 1e6, ' µm')}",
+        "porosity": f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; too high by up to"
+        f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved"
+        + seeds("porosity_closed", 100.0, " %"),
+        "deposition efficiency": f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}"
+        + seeds("deposition_efficiency", 100.0, " %"),
+        f"{'residual stress' if is_cold else 'stress before cooling'}, in plane": f"{stress:+.0f}{error} MPa{parts};"
+        f" mean over the volume of the splats, error from place to place{seeds('stress_in_plane_Pa', 1e-6, ' MPa')}",
+        "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the patch",
+        "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
+    }
+    return list(texts.items())
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
     """Strain, temperature and stress of the substrate (layer 0: what yielded of it) and of each layer of `each` particles, over volume.
-
-    The last particle, still made of points, is in none of them.
-    """
+    The last particle, still made of points, is in none of them."""
     volume, data = np.abs(volumes(splats.mesh.points, splats.mesh.cells)), splats.mesh.data
     layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
     rows = []
@@ -394,24 +359,20 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
         own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
         if not own.any():
             continue
-        row: dict[str, float] = {
-            "layer": number,
-            "splats": int(np.sum(np.unique(splats.body[own]) > 0)),
-            "volume_m3": float(volume[own].sum()),
-        }
+        count = int(np.sum(np.unique(splats.body[own]) > 0))
+        row: dict[str, float] = {"layer": number, "splats": count, "volume_m3": float(volume[own].sum())}
         for name in ("eps_p", "T", "von_mises"):
             value = data[name][own].astype(float)
             row[f"{name}_mean"] = float(np.average(value, weights=volume[own]))
-            (row[f"{name}_p99"],) = _percentiles(value, volume[own], (0.99,))
+            row[f"{name}_p99"] = float(_percentiles(value, volume[own], 0.99))
             row[f"{name}_max"] = float(value.max())
         rows.append(row)
     return rows
 
 
-def _percentiles(values: NDArray, weights: NDArray, shares: tuple[float, ...]) -> list[float]:
+def _percentiles(values: NDArray, weights: NDArray, shares: ArrayLike) -> NDArray:
     """The values (k,) below which these shares of their weights (k,) lie."""
-    found: list[float] = np.quantile(values, shares, weights=weights, method="inverted_cdf").tolist()
-    return found
+    return np.asarray(np.quantile(values, np.asarray(shares, float), weights=weights, method="inverted_cdf"))
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
@@ -438,9 +399,8 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
         here = slot == number
         if here.sum() >= 4:
             means = {name: float(np.average(value[here], weights=volume[here])) for name, value in columns.items()}
-            low, high = _percentiles(
-                0.5 * (columns["sigma_xx"] + columns["sigma_yy"])[here], volume[here], (0.05, 0.95)
-            )
-            means |= {"sigma_p5": low, "sigma_p95": high}
+            in_surface = 0.5 * (columns["sigma_xx"] + columns["sigma_yy"])[here]
+            low, high = _percentiles(in_surface, volume[here], (0.05, 0.95))
+            means |= {"sigma_p5": float(low), "sigma_p95": float(high)}
             rows.append({"z_m": (number + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
     return rows

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..errors import StoreError
@@ -47,11 +48,9 @@ def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
 
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
-    """The cut at y = plane (m) by strain, temperature and stress, as a PNG. radius: of what is shown, m.
-
-    A cold coating is drawn by strain, von Mises and in-plane stress; else the last particle is drawn where the cut meets it. Raises
-    StoreError where there is nothing to draw.
-    """
+    """The cut at y = plane (m) by strain, temperature and stress, as a PNG. radius: of what is shown, m. A cold coating is drawn by
+    strain, von Mises and in-plane stress; else the last particle is drawn where the cut meets it. Raises StoreError where there is
+    nothing to draw."""
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(splats, radius)), heading), path)
         return path
@@ -68,11 +67,16 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
     mesh, across = splats.mesh, radius * MICRO
     is_near = np.hypot(*mesh.points[:, :2].T) < radius
     of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.body > 0])
-    deepest, top = (
-        mesh.points[is_near & of_splat, 2].min(initial=0.0) * MICRO,
-        mesh.points[is_near, 2].max(initial=0.0) * MICRO,
-    )
-    return -across, across, min(-0.35 * across, float(deepest) - 0.15 * across), float(top) + 0.08 * across
+    deepest = float(mesh.points[is_near & of_splat, 2].min(initial=0.0)) * MICRO
+    top = float(mesh.points[is_near, 2].max(initial=0.0)) * MICRO
+    return -across, across, min(-0.35 * across, deepest - 0.15 * across), top + 0.08 * across
+
+
+def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
+    """Impact, points and faces of the surface of each body, the substrate first."""
+    cells = [splats.mesh.cells[splats.body == b] for b in range(len(splats.impact))]
+    skins = [(int(n), splats.mesh.points, boundary_faces(own)[0]) for n, own in zip(splats.impact, cells, strict=True)]
+    return [*skins, *([(len(splats.mass), *splats.last)] if splats.last is not None else [])]
 
 
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
@@ -82,10 +86,7 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor="black")
-    skins = [
-        (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0]) for b in range(len(splats.impact))
-    ]
-    skins += [splats.last] if splats.last is not None else []
+    skins = [skin for _, *skin in _skins(splats)]
     x, z = (np.linspace(*ends, pixels) for ends, pixels in (((left, right), 1400), ((bottom, top), 600)))
     places = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
     metal = np.zeros(len(places), bool)
@@ -115,8 +116,9 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
     figure = blank(5.0, 5.0, 160, "constrained")
     axis = figure.add_subplot()
     axis.fill_betweenx(z, low, high, color="0.85", label="5 to 95 % of the volume")
-    axis.plot(mean, z, color="black", label="residual stress" if splits(rows) else "stress, not cooled")
-    if splits(rows):
+    is_cold = "thermal_xx" in rows[0]
+    axis.plot(mean, z, color="black", label="residual stress" if is_cold else "stress, not cooled")
+    if is_cold:
         thermal = np.array([0.5e-6 * (row["thermal_xx"] + row["thermal_yy"]) for row in rows])
         axis.plot(thermal, z, color="#d55e00", label="of cooling (quench)")
         axis.plot(mean - thermal, z, color="#0072b2", label="of impacts (deposition)")
@@ -128,17 +130,10 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
     return path
 
 
-def splits(rows: list[dict[str, float]]) -> bool:
-    """Whether rows over depth separate stresses of cooling from stresses of impacts."""
-    return bool(rows) and "thermal_xx" in rows[0]
-
-
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body and impact (0: the substrate) of each
-    tetrahedron and its fields, and splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m.
-
-    Raises StoreError.
-    """
+    tetrahedron and its fields, and splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m. Raises
+    StoreError."""
     inner = folder / "splats"
     cells = splats.mesh.cells
     data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}
@@ -149,12 +144,7 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
         for old in inner.glob("splat_*.stl"):
             old.unlink()
         meshio.Mesh(splats.mesh.points, [("tetra", cells)], cell_data=data).write(paths[0])
-        skins = [
-            (int(splats.impact[b]), splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0])
-            for b in range(1, len(splats.impact))
-        ]
-        if splats.last is not None:
-            skins.append((splats.finished, *splats.last))
+        skins = _skins(splats)[1:]
         several = {number for number, _, _ in skins if sum(other == number for other, _, _ in skins) > 1}
         for k, (number, points, faces) in enumerate(skins):
             part = f"_{k}" if number in several else ""

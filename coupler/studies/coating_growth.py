@@ -21,7 +21,8 @@ def growth(result: Result, radius: float | None = None) -> list[Row]:
     coating."""
     built = read(result)
     radius = radius or disc_radius(built)
-    numbers = np.unique(np.linspace(2, built.finished, min(MOST, built.finished) - 1).round().astype(int))
+    finished = len(built.mass)
+    numbers = np.unique(np.linspace(2, finished, min(MOST, finished) - 1).round().astype(int))
     rows = [row(read(result, number), radius) for number in numbers.tolist()]
     return [*rows, row(built, radius)]
 
@@ -37,14 +38,9 @@ def latest(result: Result) -> Row:
 
 def row(built: Splats, radius: float) -> Row:
     """impacts: so many are finished; splats: that are in the coating; deposition_efficiency; the measures of `coating.shape`."""
+    counts = {"impacts": len(built.mass), "splats": float(np.count_nonzero(built.stayed))}
     measures = shape(built, radius, COARSE * COLUMN * built.element_size)
-    splats = float(np.count_nonzero(built.stayed))
-    return {
-        "impacts": built.finished,
-        "splats": splats,
-        "deposition_efficiency": built.deposition_efficiency,
-        **measures,
-    }
+    return {**counts, "deposition_efficiency": built.deposition_efficiency, **measures}
 
 
 def line(now: Row) -> str:

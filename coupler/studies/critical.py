@@ -1,7 +1,6 @@
 """The critical velocity of a scene by runs at several velocities: bracketed between rebound and sticking, then halved.
 
-At the margin a verdict depends on where points and elements lie. Several placements at each velocity, of which none is nearer to
-the truth, show how much: the critical velocity is that at which half of them stick.
+At the margin a verdict depends on where points and elements lie: the critical velocity is that at which half of the placements stick.
 """
 
 import itertools
@@ -90,10 +89,8 @@ class Bracket:
             answer = f"critical velocity {self.velocity:.4g} m/s +- {self.half_width:.2g} m/s"
             if not self.shares:
                 return f"{answer}: rebounds at {self.low:.4g}, sticks at {self.high:.4g} m/s{between}"
-            ends = [
-                f"{share:.0%} at {v:.4g} m/s" if v is not None else f"{share:.0%} at no velocity computed"
-                for v, share in zip(self.band, BAND, strict=True)
-            ]
+            places = ("no velocity computed" if v is None else f"{v:.4g} m/s" for v in self.band)
+            ends = (f"{share:.0%} at {place}" for share, place in zip(BAND, places, strict=True))
             return f"{answer}, where half of the placements stick ({' and '.join(ends)})"
         if self.low is not None:
             return f"no critical velocity: rebounds at all velocities up to {self.low:.4g} m/s"
@@ -127,11 +124,9 @@ def bracket(verdicts: Mapping[float, str]) -> Bracket:
 def next_velocity(
     verdicts: Mapping[float, str], start: float, limits: tuple[float, float], tolerance: float
 ) -> float | None:
-    """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit has been reached.
-
-    start: the first one; limits: of the search, m/s; tolerance: width of the bracket over its middle. Between undecided runs the
-    wider part of the bracket is halved. A particle that rebounds up to the upper limit may stick at velocities below the first one.
-    """
+    """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit has been reached. start:
+    the first one; limits: of the search, m/s; tolerance: width of the bracket over its middle. Between undecided runs the wider part of
+    the bracket is halved. A particle that rebounds up to the upper limit may stick at velocities below the first one."""
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))
     found = bracket(verdicts)
@@ -155,20 +150,16 @@ def next_velocity(
 
 
 def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
-    """The TOML of the scene with its particle at `velocity` m/s.
-
-    placement: 0 as the scene has it; others have no meaning in physics: they move the particle by up to half an element of the
-    target in x and y, where the target is meshed anew about it, and turn the points of a sphere by up to 45 degrees about y.
-    """
+    """The TOML of the scene with its particle at `velocity` m/s. placement: 0 as the scene has it; others have no meaning in physics:
+    they move the particle by up to half an element of the target in x and y, where the target is meshed anew about it, and turn the
+    points of a sphere by up to 45 degrees about y."""
     data = tomllib.loads(scene.to_toml())
     particle = data["particle"]
     particle["velocity"] = f"{velocity:.6g} m/s"
     if placement:
         x, y, turn = (placement * step % 1.0 for step in SEQUENCE)
-        moved = (
-            at + (u - 0.5) * scene.derived.element_size for at, u in zip(scene.particle.offset, (x, y), strict=True)
-        )
-        particle["offset"] = [f"{1e6 * at:.5g} um" for at in moved]
+        size, offset = scene.derived.element_size, scene.particle.offset
+        particle["offset"] = [f"{1e6 * (at + (u - 0.5) * size):.5g} um" for at, u in zip(offset, (x, y), strict=True)]
         if scene.particle.shape == "sphere":
             particle["tilt"] = f"{45.0 * turn:.4g} deg"
     data.pop("name", None)
@@ -185,17 +176,10 @@ def check(scene: Scene) -> None:
         problems.append("gas: remove this table; the study sets the velocity")
     law = scene.derived.adhesion_law
     if not law.in_impact:
-        problems.append(
-            f"adhesion: no bond is computed with it ({law.words}), so that runs show no critical velocity: give"
-            ' kind = "cohesive" and a criterion'
-        )
+        text = f"adhesion: no bond is computed with it ({law.words}), so that runs show no critical velocity"
+        problems.append(f'{text}: give kind = "cohesive" and a criterion')
     if problems:
         raise SceneError(problems, scene.name)
-
-
-def formula_of(scene: Scene) -> PairFormula:
-    """Schmidt's formula for the particle of a scene on its substrate."""
-    return plan(scene).impact.formula
 
 
 def verdict_words(found: Bracket, formula: PairFormula) -> str:
@@ -229,15 +213,9 @@ def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 
 def search(
-    scene: Scene,
-    folder: Path,
-    limits: tuple[float, float] = (LOWEST, HIGHEST),
-    tolerance: float = TOLERANCE,
-    log: Callable[[str], None] = print,
-    repeat: int = 1,
-    jobs: int = 1,
-    about: str = "",
-) -> tuple[Bracket, list[Row]]:
+    scene: Scene, folder: Path, limits: tuple[float, float] = (LOWEST, HIGHEST), tolerance: float = TOLERANCE,
+    log: Callable[[str], None] = print, repeat: int = 1, jobs: int = 1, about: str = "",
+) -> tuple[Bracket, list[Row]]:  # fmt: skip
     """Compute runs of the scene into folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
 
     The rows are written to folder/critical.csv after each velocity, `about` above them; runs of the folder that have ended take part.
@@ -246,11 +224,12 @@ def search(
     scene without computed bonds, StoreError when a run fails.
     """
     check(scene)
-    start, runs = formula_of(scene).critical or UNKNOWN_START, folder / "runs"
+    start, runs = plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
     rows = rows_of(runs)
-    while (
-        velocity := next_velocity(verdicts_of(shares := shares_of(rows, repeat)), start, limits, tolerance)
-    ) is not None:
+    while True:
+        shares = shares_of(rows, repeat)
+        if (velocity := next_velocity(verdicts_of(shares), start, limits, tolerance)) is None:
+            break
         which = f"velocity {len(shares) + 1}: {velocity:.4g} m/s"
         log(f"{which}{f', {repeat} placements' if repeat > 1 else ''} ...")
         begun = time.monotonic()
@@ -317,15 +296,14 @@ def point_name(velocity: float, placement: int) -> str:
 def rows_at(
     scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Callable[[str], None] = print
 ) -> list[Row]:
-    """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there.
-
-    One that is undecided is continued once, for as long again. Raises StoreError when a run fails.
-    """
+    """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there. One that is
+    undecided is continued once, for as long again. Raises StoreError when a run fails."""
     points = {point_name(velocity, k): at_velocity(scene, velocity, k) for k in range(repeat)}
     ended = run_points(folder, points, jobs, log if repeat > 1 else lambda _: None)
-    for name in (name for name in points if ended[name] == "undecided"):
-        ended[name] = str(run_point(folder, name, points[name], again=True)["status"])
-    for name, status in ended.items():
+    for name, text in points.items():
+        status = ended[name]
+        if status == "undecided":
+            status = str(run_point(folder, name, text, again=True)["status"])
         if status not in ("done", "undecided"):
             reason = (how_ended(folder / f"{name}.json") or {}).get("reason", "it was stopped")
             raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")

@@ -68,19 +68,16 @@ def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
     """A row for each measure, SI units. Raises StoreError."""
     keys = dict.fromkeys(key for spread in measures for key in spread.correlations)
     names = [f"quantile_{share:g}" for share in SHARES]
-    rows = [
-        {"measure": s.measure.key, "runs": len(s.values), "mean": float(s.values.mean()), "deviation": float(s.values.std(ddof=1)),
-         "error": s.error}
-        | dict(zip(names, s.quantiles, strict=True))
-        | {f"rank_correlation {key}": value for key, value in s.correlations.items()}
-        for s in measures
-    ]  # fmt: skip
-    write_rows(
-        path,
-        ("measure", "runs", "mean", "deviation", "error", *names, *(f"rank_correlation {key}" for key in keys)),
-        rows,
-        about,
+    head, of_keys = (
+        ("measure", "runs", "mean", "deviation", "error", *names),
+        [f"rank_correlation {key}" for key in keys],
     )
+    rows = []
+    for s in measures:
+        mean, deviation = float(s.values.mean()), float(s.values.std(ddof=1))
+        numbers = s.measure.key, len(s.values), mean, deviation, s.error, *s.quantiles
+        rows.append(dict(zip((*head, *of_keys), (*numbers, *map(s.correlations.get, keys)), strict=True)))
+    write_rows(path, (*head, *of_keys), rows, about)
 
 
 def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:

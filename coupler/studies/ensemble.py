@@ -10,17 +10,12 @@ from .. import units
 
 # keys of the table of a distribution, by its kind
 KINDS = {
-    "normal": ("mean", "deviation"),
-    "log-normal": ("median", "spread"),
-    "uniform": ("from", "to"),
-    "choice": ("values",),
-}
+    "normal": ("mean", "deviation"), "log-normal": ("median", "spread"), "uniform": ("from", "to"), "choice": ("values",),
+}  # fmt: skip
 LIMITS = ("smallest", "largest")
 _EXAMPLES = (
-    '{ mean = "600 m/s", deviation = "40 m/s" }',
-    '{ median = "25 um", spread = 1.4 }',
-    '{ from = "0 um", to = "10 um" }',
-    "{ values = [...] }",
+    '{ mean = "600 m/s", deviation = "40 m/s" }, { median = "25 um", spread = 1.4 }, { from = "0 um", to = "10 um" },'
+    " { values = [...] }"
 )
 
 
@@ -45,12 +40,10 @@ class Distribution:
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         a, b = self.numbers
-        law = {
-            "normal": lambda: stats.norm(a, b),
-            "log-normal": lambda: stats.lognorm(np.log(b), scale=a),
-            "uniform": lambda: stats.uniform(a, b - a),
-        }[self.kind]()
-        low, high = law.cdf(self.limits[0]), law.cdf(self.limits[1])
+        law = stats.norm(a, b) if self.kind == "normal" else stats.uniform(a, b - a)
+        if self.kind == "log-normal":
+            law = stats.lognorm(np.log(b), scale=a)
+        low, high = map(law.cdf, self.limits)
         value = float(law.ppf(low + share * (high - low)))
         return units.rounded(value, self.unit, 6) if self.unit else float(f"{value:.6g}")
 
@@ -62,7 +55,7 @@ def distribution_of(table: object) -> Distribution:
         (k for k, keys in KINDS.items() if isinstance(table, Mapping) and all(key in table for key in keys)), None
     )
     if kind is None or not isinstance(table, Mapping):
-        raise ValueError(f"expected a distribution: {', '.join(_EXAMPLES)}")
+        raise ValueError(f"expected a distribution: {_EXAMPLES}")
     keys, known = KINDS[kind], (*KINDS[kind], *(LIMITS if kind in ("normal", "log-normal") else ()))
     if unknown := [key for key in table if key not in known]:
         raise ValueError(f"{unknown[0]}: unknown key; known: {', '.join(known)}")
@@ -79,19 +72,14 @@ def distribution_of(table: object) -> Distribution:
     a, b = (numbers[key][0] for key in keys)
     if kind == "normal" and numbers["deviation"][1] == "degC":
         raise ValueError("deviation: give it in K")
-    if (
-        (kind == "normal" and b <= 0.0)
-        or (kind == "uniform" and b <= a)
-        or (kind == "log-normal" and (a <= 0.0 or b <= 1.0))
-    ):
-        raise ValueError({"normal": "deviation must be above zero", "uniform": "from must be below to",
-                          "log-normal": "median must be above zero and spread above 1"}[kind])  # fmt: skip
-    limits = tuple(
-        numbers[key][0] if key in numbers else default for key, default in zip(LIMITS, (-np.inf, np.inf), strict=True)
-    )
-    if limits[0] >= limits[1]:
-        raise ValueError("smallest must be below largest")
-    return Distribution(kind, (a, b), numbers[keys[0]][1], (limits[0], limits[1]))
+    is_sound, problem = {
+        "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "from must be below to"),
+        "log-normal": (a > 0.0 and b > 1.0, "median must be above zero and spread above 1"),
+    }[kind]  # fmt: skip
+    low, high = (numbers[key][0] if key in numbers else end for key, end in zip(LIMITS, (-np.inf, np.inf), strict=True))
+    if not is_sound or low >= high:
+        raise ValueError("smallest must be below largest" if is_sound else problem)
+    return Distribution(kind, (a, b), numbers[keys[0]][1], (low, high))
 
 
 def _number(key: str, value: object) -> tuple[float, str]:
@@ -106,9 +94,7 @@ def _number(key: str, value: object) -> tuple[float, str]:
 
 
 def draws(laws: Sequence[Distribution], count: int, seed: int) -> list[list[object]]:
-    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808) through the inverse distributions.
-
-    A longer series begins with the shorter one, so that an ensemble can be extended.
-    """
+    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808) through the inverse distributions. A longer series
+    begins with the shorter one, so that an ensemble can be extended."""
     shares = stats.qmc.Halton(len(laws), scramble=True, rng=np.random.default_rng(seed)).random(count)
     return [[law.at(float(share)) for law, share in zip(laws, row, strict=True)] for row in shares]

@@ -1,7 +1,6 @@
 """The accuracy ladder: one scene at many settings of resolution and scheme, each run in one thread, and their table.
 
-Costs are processor time (`time.process_time`, and that of the process that makes splats), which other work on the machine disturbs
-less than wall time; the wall time is kept beside it.
+Costs are processor time, which other work on the machine disturbs less than wall time.
 """
 
 import math
@@ -66,9 +65,7 @@ def ladder_points(
     points: Sequence[int] = POINTS, reference: int = REFERENCE, knobs_at: int | None = KNOBS_AT
 ) -> list[LadderPoint]:
     """The settings, the cheap ones first. knobs_at: points at which scheme parameters and effects are varied; None: they are not.
-
-    Raises StoreError for fewer than LEAST_POINTS, and a reference that is not finer than the settings compared with it.
-    """
+    Raises StoreError for fewer than LEAST_POINTS, and a reference that is not finer than the settings compared with it."""
     for name, numbers in (("points", points), ("reference", [reference]), ("knobs-at", [knobs_at] if knobs_at else [])):
         if numbers and min(numbers) < LEAST_POINTS:
             raise StoreError(f"--{name} {min(numbers)} is too coarse: give {LEAST_POINTS} points or more")
@@ -93,25 +90,18 @@ class Clock:
     """Processor time (s) of this process and its finished children; `probe` measures that of the time loop."""
 
     def __init__(self) -> None:
-        self._start = spent()
-        self._impact: object = None
-        self._spans: list[list[float]] = []
+        self._start, self.loop = spent(), 0.0
+        self._last: tuple[object, float] = None, 0.0
 
     def probe(self, impact: object) -> None:
         """Called after every chunk of steps: the time between chunks of one impact is the time of its loop."""
-        now = time.process_time()
-        if impact is not self._impact:
-            self._impact = impact
-            self._spans.append([now, now])
-        self._spans[-1][1] = now
+        now, (before, then) = time.process_time(), self._last
+        self.loop += now - then if impact is before else 0.0
+        self._last = impact, now
 
     @property
     def whole(self) -> float:
         return spent() - self._start
-
-    @property
-    def loop(self) -> float:
-        return sum(last - first for first, last in self._spans)
 
 
 def spent() -> float:
@@ -128,10 +118,8 @@ def compute_missing(
     say: Callable[[str], None],
     quiet: bool = True,
 ) -> StudyTable:
-    """Compute the points of the ladder that the table lacks. say(text): called with a line about each; quiet: no progress bars.
-
-    A setting that fails, or that finished only after a retry with other numerics, is a row with its reason and no measures.
-    """
+    """Compute the points of the ladder that the table lacks. say(text): called with a line about each; quiet: no progress bars. A
+    setting that fails, or that finished only after a retry with other numerics, is a row with its reason and no measures."""
     missing = [point for point in ladder if point.key not in table]
     if missing:
         _warm_up(out, say)

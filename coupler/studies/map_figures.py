@@ -22,9 +22,11 @@ from . import maps
 from .maps import BAND, FORMULAS, LOGARITHMIC, Interpolation, shown
 from .runs_table import Row, errors_of, others_that_vary
 
-COLOURS = {"T_p99_K": "inferno", "T_mean_K": "inferno", "restitution": "cividis", "rebound_velocity_m_s": "cividis",
-           "velocity_ratio": "PuOr_r"}  # fmt: skip
-USUAL_COLOURS = "viridis"  # of the other measures; all in even steps of lightness
+# in even steps of lightness
+COLOURS = dict.fromkeys(MEASURES, "viridis") | {
+    "T_p99_K": "inferno", "T_mean_K": "inferno", "restitution": "cividis", "rebound_velocity_m_s": "cividis",
+    "velocity_ratio": "PuOr_r",
+}  # fmt: skip
 GRID = 121  # places along each side of a map
 MOST_SLICES = 6  # values of a third axis that have a row of panels each
 MOST_LINES = 8  # in a picture of lines; more are drawn as points in a plane
@@ -48,9 +50,8 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
         done = [row for row in own if row["status"] == "done"]
         used = tuple(axes) or maps.varying(done)
         if not used or any(row[axis] is None for axis in used for row in done) or len(done) < 2:
-            remarks.append(
-                f"{material}: no map; its {len(done)} points that are done vary in none of the axes: name keys of the scene with --axes"
-            )
+            none = f"its {len(done)} points that are done vary in none of the axes"
+            remarks.append(f"{material}: no map; {none}: name keys of the scene with --axes")
             continue
         if others := others_that_vary(done, used):
             remarks.append(f"{material}: points of the same place differ in {', '.join(others[:5])}, which is no axis")
@@ -81,9 +82,8 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
     remarks += [f"  {text}" for text in (fit.warnings if fit else ())]
     if errors := errors_of(rows, quantity):
         middle, most = (f"{m.factor * end:.3g}" for end in (np.median(errors), max(errors)))
-        remarks.append(
-            f"  error of the resolution: {middle} {m.unit} in the median, {most} at most".replace("  in", " in")
-        )
+        told = f"{middle} {m.unit}".rstrip()
+        remarks.append(f"  error of the resolution: {told} in the median, {most} at most")
     if fit is not None and len(axes) > 1 and quantity not in FORMULAS and maps.brackets(done, axes):
         remarks.append("  the verdict changes between points: the surface is smooth there, where the measure can jump")
     if point.at:
@@ -174,10 +174,8 @@ def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interp
     (drawn,) = at.plot(x, factor * y, linewidth=1.2 if fit else 0.8, color=colour, label=label or None, zorder=2)
     if fit is not None:
         shown_before = any(text == "95 % band" for text in at.get_legend_handles_labels()[1])
-        at.fill_between(
-            x, factor * (y - band), factor * (y + band), alpha=0.2, color=drawn.get_color(), linewidth=0.0,
-            label=None if shown_before else "95 % band",
-        )  # fmt: skip
+        style: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.0, "label": None if shown_before else "95 % band"}
+        at.fill_between(x, factor * (y - band), factor * (y + band), color=drawn.get_color(), **style)
     return to_hex(drawn.get_color())
 
 
@@ -187,7 +185,7 @@ def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
     values = [m.factor * row[quantity] for row in done]
     figure = blank(6.4, 4.6, dpi=130, layout="constrained")
     at = figure.subplots()
-    colours = ScalarMappable(Normalize(*_ends(min(values), max(values), quantity)), _colours(quantity))
+    colours = ScalarMappable(Normalize(*_ends(min(values), max(values), quantity)), COLOURS[quantity])
     _points(at, rows, axes[0], axes[1], quantity, colours)
     at.set(xlabel=axis_label(axes[0]), ylabel=axis_label(axes[1]))
     bar = figure.colorbar(colours, ax=at)
@@ -207,30 +205,28 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
     slices: list[float | None] = sorted({row[third[0]] for row in done}) if third else [None]
     if len(slices) > MOST_SLICES:
         slices = [float(f"{value:.3g}") for value in np.quantile([row[third[0]] for row in done], (0.25, 0.5, 0.75))]
+
+    def nearest(place: float | None) -> float | None:
+        """The slice that a point is drawn in; None for a point without a value of the axis."""
+        known = [each for each in slices if each is not None]
+        return None if place is None else min(known, key=lambda each: abs(each - place))
+
     figure = blank(10.8, 4.3 * len(slices), dpi=130, layout="constrained")
     panels = figure.subplots(len(slices), 2, squeeze=False, sharex=True, sharey=True)
     fields = [_fields(done, axes, value, fit) for value in slices]
     for number in range(2):
         levels = _levels([factor * field[2 + number] for field in fields], quantity, number == 1)
         for at, value, (x, y, *values) in zip(panels[:, number], slices, fields, strict=True):
-            here = [row for row in rows if value is None or _nearest(row[third[0]], slices) == value]
+            here = [row for row in rows if value is None or nearest(row[third[0]]) == value]
             _contours(at, (x, y, factor * values[number]), levels, number == 1, quantity)
             _points(at, here, x_axis, y_axis, quantity)
             at.set(xlabel=axis_label(x_axis), ylabel=axis_label(y_axis) if number == 0 else "")
             heading = "95 % band, half width" if number and value is None else ""
             at.set_title(shown(third[0], value) if value is not None else heading, fontsize=9)
-    entries = {
-        label: handle for at in panels[:, 0] for handle, label in zip(*at.get_legend_handles_labels(), strict=True)
-    }
+    entries = dict(pair[::-1] for at in panels[:, 0] for pair in zip(*at.get_legend_handles_labels(), strict=True))
     figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, fontsize=8, frameon=False)
     figure.suptitle(f"{_heading(rows, done)}: {MEASURES[quantity].label}", fontsize=11)
     return figure
-
-
-def _nearest(value: float | None, slices: Sequence[float | None]) -> float | None:
-    """The slice that a point is drawn in; None for a point without a value of the axis."""
-    known = [each for each in slices if each is not None]
-    return None if value is None else min(known, key=lambda each: abs(each - value))
 
 
 def _fields(done: Sequence[Row], axes: Axes_, value: float | None, fit: Interpolation) -> tuple[NDArray, ...]:
@@ -263,7 +259,7 @@ def _levels(fields: Sequence[NDArray], quantity: str, band: bool) -> NDArray:
 
 def _contours(at: Axes, field: tuple[NDArray, NDArray, NDArray], levels: NDArray, band: bool, quantity: str) -> None:
     x, y, values = field
-    colours = at.contourf(x, y, values, levels, cmap="Greys" if band else _colours(quantity), extend="neither")
+    colours = at.contourf(x, y, values, levels, cmap="Greys" if band else COLOURS[quantity], extend="neither")
     is_light = band or quantity in FORMULAS  # in the middle of the colours
     lines = at.contour(x, y, values, levels, colors="k" if is_light else "w", linewidths=0.5)
     for label in at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}"):
@@ -304,10 +300,6 @@ def _scatter(
     if values is not None and colours is not None:
         style = {"c": values, "cmap": colours.cmap, "norm": colours.norm, "s": 45, "edgecolors": "k"}
     at.scatter(x, y, linewidths=0.8, label=kind, zorder=3, clip_on=False, marker=MARKERS[kind], **style)
-
-
-def _colours(quantity: str) -> str:
-    return COLOURS.get(quantity, USUAL_COLOURS)
 
 
 def _heading(rows: Sequence[Row], done: Sequence[Row]) -> str:

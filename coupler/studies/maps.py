@@ -1,8 +1,5 @@
-"""Maps of a sweep: measures over diameter, velocity and temperature, interpolated, with their uncertainty.
-
-Reads folders of runs and imports no solver. The interpolation is a Gaussian process over the logarithms of velocity and
-diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4.
-"""
+"""Maps of a sweep: measures over diameter, velocity and temperature, interpolated by a Gaussian process over the logarithms of velocity
+and diameter, with their uncertainty (Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4)."""
 
 from __future__ import annotations
 
@@ -65,10 +62,8 @@ class Interpolation:
     _hull: NDArray
 
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
-
-        The standard deviation is for a new run at these values, its scatter included.
-        """
+        """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units. The standard deviation
+        is for a new run at these values, its scatter included."""
         x, shape = self._scaled(at)
         mean, std = self._model.predict(x, return_std=True)
         return mean.reshape(shape), std.reshape(shape)
@@ -114,14 +109,10 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         warnings.simplefilter("ignore", ConvergenceWarning)
         model.fit(standard, y)
     lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
-    told = tuple(
-        f"{measure(quantity).label} changes along {measure(name).short} within the distance of two points: more of them are needed"
-        for name, length, (low, _) in zip(names, lengths, bounds, strict=True)
-        if length <= 1.01 * low
-    )
-    K = model.kernel_(model.X_train_)
-    inverse = np.linalg.inv(K)
-    unit = float(y.std()) or 1.0
+    short = [measure(name).short for name, n, (low, _) in zip(names, lengths, bounds, strict=True) if n <= 1.01 * low]
+    end = "within the distance of two points: more of them are needed"
+    told = tuple(f"{measure(quantity).label} changes along {name} {end}" for name in short)
+    inverse, unit = np.linalg.inv(model.kernel_(model.X_train_)), float(y.std()) or 1.0
     off = inverse @ model.y_train_ / np.diag(inverse)
     std = np.sqrt(1.0 / np.diag(inverse))
     gaps = {}
@@ -139,11 +130,9 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
 
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
-    """Why the points of rows support no interpolation over the axes, in words; "" where they support it.
-
-    Each axis has FEWEST_VALUES values or more. Of several axes the places are most of a grid (`_is_grid`), or they are at least as
-    many as the smallest grid has or POINTS_PER_AXIS for each axis, whichever is less, and do not lie near one line or plane (SPREAD).
-    """
+    """Why the points of rows support no interpolation over the axes, in words; "" where they support it. Each axis has FEWEST_VALUES
+    values or more. Of several axes the places are most of a grid (`_is_grid`), or they are at least as many as the smallest grid has or
+    POINTS_PER_AXIS for each axis, whichever is less, and do not lie near one line or plane (SPREAD)."""
     x = np.array([[row[axis] for axis in axes] for row in rows], float).reshape(-1, len(axes))
     counts = {axis: len(np.unique(column)) for axis, column in zip(axes, x.T, strict=True)}
     few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
@@ -194,10 +183,8 @@ def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
 
 
 def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
-    """The rows that are done, in the order of an axis, divided where the verdict changes from one value to the next.
-
-    A value whose rows differ in their verdict counts as undecided.
-    """
+    """The rows that are done, in the order of an axis, divided where the verdict changes from one value to the next. A value whose rows
+    differ in their verdict counts as undecided."""
     done = sorted((row for row in rows if row["status"] == "done"), key=lambda row: row[axis])
     divided: list[tuple[str, list[Row]]] = []
     for _, group in itertools.groupby(done, key=lambda row: row[axis]):
@@ -212,19 +199,18 @@ def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
 
 def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Place, str, str]]:
     """Neighbouring places between which the verdict changes, and both verdicts; the widest first, those narrower than NARROW left out.
-
-    An undecided run counts as one. Axes in SI units.
-    """
+    An undecided run counts as one. Axes in SI units."""
     at: dict[Place, list[Row]] = {}
     for row in rows:
         if row.get("verdict") in (STICKS, REBOUNDS, UNDECIDED) and all(row[axis] is not None for axis in axes):
             at.setdefault(tuple(float(row[axis]) for axis in axes), []).append(row)
     verdicts = {place: _common_verdict(here) for place, here in at.items()}
-    found = [
-        (distance, a, b)
-        for distance, a, b in _neighbours(list(at), axes)
-        if verdicts[a] != verdicts[b] and any(abs(p - q) > NARROW * 0.5 * abs(p + q) for p, q in zip(a, b, strict=True))
-    ]
+
+    def is_wide(a: Place, b: Place) -> bool:
+        return any(abs(p - q) > NARROW * 0.5 * abs(p + q) for p, q in zip(a, b, strict=True))
+
+    pairs = _neighbours(list(at), axes)
+    found = [(distance, a, b) for distance, a, b in pairs if verdicts[a] != verdicts[b] and is_wide(a, b)]
     return [(a, b, verdicts[a], verdicts[b]) for _, a, b in sorted(found, key=lambda each: (-each[0], *each[1:]))]
 
 
@@ -235,10 +221,8 @@ def _common_verdict(rows: Sequence[Row]) -> str:
 
 
 def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[float, Place, Place]]:
-    """Pairs of places with no third one in the sphere over them (a Gabriel graph), and their distance with each axis scaled to 0..1.
-
-    On a grid these are the neighbours along the axes. The lesser place is the first.
-    """
+    """Pairs of places with no third one in the sphere over them (a Gabriel graph), and their distance with each axis scaled to 0..1. On
+    a grid these are the neighbours along the axes. The lesser place is the first."""
     places = sorted(places)
     logs = _logs(np.array(places, float).reshape(-1, len(axes)), axes)
     if len(logs) < 2:
@@ -302,22 +286,18 @@ def best_point(
     rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
 ) -> tuple[NextPoint, Interpolation | None, str]:
     """The next point (`next_point`); the interpolation of the quantity, None where the points do not support one; and the reason why
-    not, in words. axes: by default all of AXES that vary.
-
-    Of one axis none is fitted across a change of the verdict, where a measure can jump: `sides`.
-    """
+    not, in words. axes: by default all of AXES that vary. Of one axis none is fitted across a change of the verdict, where a measure
+    can jump: `sides`."""
     used = with_value(rows, quantity)
     names = tuple(axes) or varying([row for row in rows if row["status"] == "done"])
     if not names:
         return NextPoint({}, _ALIKE), None, _ALIKE
     problem = sparse(used, names)
     if not problem and len(names) == 1 and quantity not in FORMULAS and len(sides(used, names[0])) > 1:
-        ends = [
-            f"{shown(names[0], a[-1][names[0]], named=False)} and {shown(names[0], b[0][names[0]], named=False)}"
-            for a, b in itertools.pairwise(sides(used, names[0]))
-        ]
+        pairs = [(a[-1][names[0]], b[0][names[0]]) for a, b in itertools.pairwise(sides(used, names[0]))]
+        ends = [" and ".join(shown(names[0], end, named=False) for end in pair) for pair in pairs[:3]]
         problem = (
-            f"the verdict changes between {', '.join(ends[:3])}, where a measure can jump: each side is drawn alone,"
+            f"the verdict changes between {', '.join(ends)}, where a measure can jump: each side is drawn alone,"
             f" as a curve from {FEWEST_VALUES} values on, else as straight lines"
         )
     fit = None if problem else interpolate(rows, quantity, names)
@@ -342,10 +322,8 @@ def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
 
 
 def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
-    """Run the scene of the nearest finished point, changed to the place `at`, as a new point of the folder. Returns its name.
-
-    The target keeps its ratio to the particle's diameter where it has one ratio in all points. Raises StoreError.
-    """
+    """Run the scene of the nearest finished point, changed to the place `at`, as a new point of the folder. Returns its name. The
+    target keeps its ratio to the particle's diameter where it has one ratio in all points. Raises StoreError."""
     done = [row for row in rows if row["status"] == "done"]
     spread = {axis: float(np.ptp([row[axis] for row in done])) or 1.0 for axis in at}
     near = min(done, key=lambda row: sum(abs(row[axis] - value) / spread[axis] for axis, value in at.items()))

@@ -1,8 +1,5 @@
-"""The speed of this machine, measured once (`timing.measure`) and kept in the user's cache folder.
-
-`coupler.plan.cost` has the costs of steps, elements and points of the machine on which its constants were fitted; one factor
-transfers them to this one.
-"""
+"""The speed of this machine, measured once (`timing.measure`) and kept in the user's cache folder: a factor on the costs of
+`coupler.plan.cost`, whose constants were fitted on another one."""
 
 import json
 import platform
@@ -39,10 +36,8 @@ class Pace:
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
     """The pace of this machine, from the cache or measured now (some seconds; half a minute where kernels have to be compiled).
-
-    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impact cannot be computed the
-    factor is 1 and `source` has the reason.
-    """
+    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impact cannot be computed the factor
+    is 1 and `source` has the reason."""
     path, key = user_folder() / "pace.json", machine()
     known = _read(path)
     if anew or key not in known:
@@ -69,8 +64,8 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
     except StoreError:
         return {}
     low, high = FACTORS
-    return {
-        name: {"factor": entry["factor"], "date": str(entry.get("date", "an unknown day"))}
-        for name, entry in known.items()
-        if isinstance(entry, dict) and isinstance(entry.get("factor"), float) and low <= entry["factor"] <= high
+    entries = {
+        name: (entry.get("factor"), entry.get("date")) for name, entry in known.items() if isinstance(entry, dict)
     }
+    sound = ((name, factor, day) for name, (factor, day) in entries.items() if isinstance(factor, float))
+    return {name: {"factor": f, "date": str(day or "an unknown day")} for name, f, day in sound if low <= f <= high}

@@ -34,13 +34,9 @@ _running: set[subprocess.Popen[str]] = set()  # of this process
 
 
 def run_points(
-    folder: Path,
-    points: Mapping[str, str],
-    jobs: int = 1,
-    log: Callable[[str], None] = print,
-    refused: Mapping[str, str] | None = None,
-    pool: Executor | None = None,
-) -> dict[str, str]:
+    folder: Path, points: Mapping[str, str], jobs: int = 1, log: Callable[[str], None] = print,
+    refused: Mapping[str, str] | None = None, pool: Executor | None = None,
+) -> dict[str, str]:  # fmt: skip
     """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
 
     A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. jobs: at a time, as
@@ -66,9 +62,7 @@ def run_points(
     here = isinstance(pool, ThreadPoolExecutor)  # a worker elsewhere has one core
     threads = max(cores() // max(min(jobs, len(wanted)), 1), 1) if here else 1
     try:
-        futures = {
-            pool.submit(run_point, folder, point, text, threads=threads): point for point, text in wanted.items()
-        }
+        futures = {pool.submit(run_point, folder, *each, threads=threads): each[0] for each in wanted.items()}
         for future in as_completed(futures):
             point = futures[future]
             try:
@@ -129,21 +123,14 @@ def write_scene(folder: Path, point: str, text: str) -> Path:
 
 
 def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
-    """Run a scene into the folder of its name, or continue there; write how it ended to `status` and return it.
-
-    {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
-    InterruptedRunError and leaves no status, so that the next attempt continues it.
-    """
+    """Run a scene into the folder of its name, or continue there; write how it ended to `status` and return it. {"status": "done",
+    "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises InterruptedRunError
+    and leaves no status, so that the next attempt continues it."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     _wait_for(folder)
-    with subprocess.Popen(
-        _command(scene, folder, threads),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=own_environment(),
-    ) as run:
+    with subprocess.Popen(_command(scene, folder, threads), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                          env=own_environment()) as run:  # fmt: skip
         _running.add(run)
         try:
             _, errors = run.communicate()

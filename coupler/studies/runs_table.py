@@ -42,7 +42,7 @@ def table(folder: str | Path) -> list[Row]:
     if not folder.is_dir():
         raise StoreError(f"{folder} is not a folder of runs")
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
-    names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
+    names |= {path.stem for path in folder.glob("*.toml") if "particle" in _scene_of(path)}
     if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # of a study, with its scene beside
         raise StoreError(f"{folder} has no runs of its own: name {inner}, which has them")
     rows = [_readable_row(folder, name) for name in names]
@@ -75,15 +75,13 @@ def _row(folder: Path, name: str) -> Row:
     numbers = list(scene_numbers(read_toml(run / "scene.toml")))
     row |= {"keys": {key: value for key, value, _ in numbers}, "units": {key: unit for key, _, unit in numbers}}
     values, plan = result.values, read_plan(run)
-    impact = plan.impacts[-1]
+    impact, verdict = plan.impacts[-1], str(values.get("verdict") or "")
     status = "done" if result.undecided is None else "undecided"
-    row |= {"status": status, "version": str(values["version"]), "reason": result.undecided or ""}
+    row |= {"status": status, "version": str(values["version"]), "reason": result.undecided or "", "verdict": verdict}
     row |= {"material": impact.material.name, "substrate": plan.target.material.name}
     row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
     row |= {key: _number(values.get(key)) for key in MEASURES}
-    row |= {f"{key}_error": _number(entry["half_width"]) for key, entry in (values.get("errors") or {}).items()}
-    row["verdict"] = str(values.get("verdict") or "")
-    return row
+    return row | {f"{key}_error": _number(entry["half_width"]) for key, entry in (values.get("errors") or {}).items()}
 
 
 def scene_file(folder: Path, name: str) -> Path:
@@ -147,18 +145,17 @@ def _number(value: object) -> float | None:
     return value if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
-def _is_scene(path: Path) -> bool:
-    try:
-        return "particle" in read_toml(path)
-    except StoreError:
-        return False
+def _scene_of(path: Path) -> dict[str, Any]:
+    """The tables of a file, none where it cannot be read."""
+    with contextlib.suppress(StoreError):
+        return read_toml(path)
+    return {}
 
 
 def _as_written(path: Path) -> Row:
     """Material and axes as a scene says them, so far as they can be read."""
-    row: Row = {"material": "", "substrate": ""}
-    with contextlib.suppress(StoreError, ValueError, LookupError, TypeError):
-        data = read_toml(path)
+    row, data = dict[str, Any](material="", substrate=""), _scene_of(path)
+    with contextlib.suppress(ValueError, LookupError, TypeError):
         row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
         for axis, dimension in zip(AXES, ("velocity", "length", "temperature"), strict=True):
             row[axis] = units.parse(data["particle"][axis.split("_")[0]], dimension)

@@ -32,10 +32,8 @@ def other_frictions(scene: Scene) -> dict[str, str]:
 
 
 def other_sets(scene: Scene) -> dict[str, str]:
-    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this set of one of its metals in place of its own.
-
-    A metal whose law is the scene's own has no other.
-    """
+    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this set of one of its metals in place of its own. A metal whose law
+    is the scene's own has no other."""
     data = tomllib.loads(scene.to_toml())
     scenes = {}
     for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
@@ -74,10 +72,8 @@ def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
     for key in CONVERGING:
         found = {name: float(other.values[key]) for name, other in others.items() if other.values.get(key) is not None}
         if found and result.values.get(key) is not None:
-            ends = [
-                f"{shown(key, found[name])} ({name})"
-                for name in (min(found, key=found.__getitem__), max(found, key=found.__getitem__))
-            ]
+            names = (end(found, key=found.__getitem__) for end in (min, max))
+            ends = [f"{shown(key, found[name])} ({name})" for name in names]
             rows.append((measure(key).label, shown(key, result.values[key], errors.get(key)), *ends, measure(key).unit))
     verdicts = [str(other.values.get("verdict")) for other in others.values()]
     counted = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))

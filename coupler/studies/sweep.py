@@ -34,11 +34,9 @@ Settings = dict[str, object]  # key of a scene -> value
 
 @dataclass(frozen=True)
 class Sweep:
-    """The points of a sweep. name: of the folder runs/<name>; points: name of each -> its scene as TOML.
-
-    varied: the keys that differ between points. is_ensemble: they are drawn from distributions. refused: points whose scene cannot
-    be computed -> why. They are marked as failed, not left out.
-    """
+    """The points of a sweep. name: of the folder runs/<name>; points: name of each -> its scene as TOML. varied: the keys that differ
+    between points. is_ensemble: they are drawn from distributions. refused: points whose scene cannot be computed -> why. They are
+    marked as failed, not left out."""
 
     name: str
     points: dict[str, str]
@@ -114,10 +112,8 @@ class Sweep:
         return write_scene(Path(out), point, self.points[point])
 
     def run(self, out: str | Path | None = None, jobs: int = 1, pool: Executor | None = None) -> Path:
-        """Run every point that has not been, each on one core. Returns the folder, runs/<name> by default.
-
-        jobs: at a time, as processes here, unless an executor is given as `pool`, which is shut down. Raises as `run_points`.
-        """
+        """Run every point that has not been, each on one core. Returns the folder, runs/<name> by default. jobs: at a time, as
+        processes here, unless an executor is given as `pool`, which is shut down. Raises as `run_points`."""
         folder = Path(out) if out is not None else Path("runs") / self.name
         run_points(folder, self.points, jobs, refused=self.refused, pool=pool)
         return folder
@@ -174,17 +170,12 @@ def _ratios(target: object, problems: list[str]) -> dict[str, float]:
     """Diameter and height of the target over the particle's diameter."""
     ratios = dict(SUBSTRATE)
     for key, value in target.items() if isinstance(target, Mapping) else [("", None)]:
-        if (
-            key not in SUBSTRATE
-            or isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not 1.0 <= value <= 1000.0
-        ):
-            problems.append(
-                f"target.{key}: expected diameter and height of the target over the particle's diameter, 1 to 1000"
-            )
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if key in SUBSTRATE and is_number and 1.0 <= float(str(value)) <= 1000.0:
+            ratios[key] = float(str(value))
         else:
-            ratios[key] = float(value)
+            expected = "diameter and height of the target over the particle's diameter, 1 to 1000"
+            problems.append(f"target.{key}: expected {expected}")
     return ratios
 
 
@@ -235,26 +226,17 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
     laws: dict[str, Sequence[Distribution]] = {}
     for key, value in _flat({key: value for key, value in table.items() if key not in limits}):
         try:
-            laws[key] = (
-                [distribution_of(item) for item in value] if isinstance(value, list) else (distribution_of(value),)
-            )
+            laws[key] = list(map(distribution_of, value)) if isinstance(value, list) else (distribution_of(value),)
         except ValueError as error:
             problems.append(f"ensemble.{key}: {error}")
     if problems or not laws:
         problems += [] if problems else ["ensemble: give a distribution for a key of the scene"]
         return []
-    drawn = draws(
-        [law for several in laws.values() for law in several], int(str(numbers["runs"])), int(str(numbers["seed"]))
-    )
+    every = [law for several in laws.values() for law in several]
     settings = []
-    for row in drawn:
-        values = iter(row)
-        settings.append(
-            {
-                key: [next(values) for _ in several] if isinstance(several, list) else next(values)
-                for key, several in laws.items()
-            }
-        )
+    for row in map(iter, draws(every, int(str(numbers["runs"])), int(str(numbers["seed"])))):
+        drawn = ((key, [next(row) for _ in several], several) for key, several in laws.items())
+        settings.append({key: values if isinstance(several, list) else values[0] for key, values, several in drawn})
     return settings
 
 

@@ -13,11 +13,9 @@ Row = dict[str, str]
 
 
 class StudyTable:
-    """The rows of a study, kept in a CSV file that is rewritten with each new row.
-
-    columns: of the file; `version` follows them. key: the columns that identify a row. about: lines above the header; the first
-    says how to remake the table. Raises StoreError for a file with other columns; rows without a version get "unknown".
-    """
+    """The rows of a study, kept in a CSV file that is rewritten with each new row. columns: of the file; `version` follows them. key:
+    the columns that identify a row. about: lines above the header; the first says how to remake the table. Raises StoreError for a file
+    with other columns; rows without a version get "unknown"."""
 
     def __init__(self, path: Path, columns: Sequence[str], key: Sequence[str], about: str):
         self.path, self.columns, self.key, self.about = path, (*columns, "version"), tuple(key), about
@@ -62,12 +60,8 @@ def cell(value: object) -> str:
 def in_columns(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
     """Rows of cells as lines of a terminal. right: the columns, from 0, that are set to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(w) if k in right else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    forms = [f"{{:{'>' if k in right else '<'}{width}}}" for k, width in enumerate(widths)]
+    return ["  ".join(forms).format(*row).rstrip() for row in rows]
 
 
 def read_rows(path: Path) -> list[Row]:

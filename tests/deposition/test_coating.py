@@ -132,8 +132,8 @@ def built() -> Splats:
 
 def test_columns_know_thickness_and_voids(built: Splats) -> None:
     c = Columns(built, (0.0, 0.0), 12e-6, 0.5e-6)
-    np.testing.assert_allclose(c.interface(), 0.0, atol=0.26e-6)
-    np.testing.assert_allclose(c.top(), 10e-6, atol=0.26e-6)
+    np.testing.assert_allclose(c.highest(c.substrate), 0.0, atol=0.26e-6)
+    np.testing.assert_allclose(c.highest(c.matter), 10e-6, atol=0.26e-6)
     opened, closed = c.voids(1e-6)
     # the space under the bridge: half of the window, 3 of 10 um; nothing leads out of it within the window
     assert opened.sum() == 0
@@ -147,7 +147,7 @@ def test_columns_know_thickness_and_voids(built: Splats) -> None:
 def test_a_body_beside_the_window_is_not_in_it(built: Splats) -> None:
     """Between the bridge, which ends at x = 0, and the rim of all others."""
     c = Columns(built, (12e-6, 0.0), 5e-6, 0.5e-6)
-    np.testing.assert_allclose(c.top(), 10e-6, atol=0.26e-6)
+    np.testing.assert_allclose(c.highest(c.matter), 10e-6, atol=0.26e-6)
     assert sum(part.sum() for part in c.voids(0.0)) == 0
     at_the_end = Columns(built, (0.0, 0.0), 5e-6, 0.5e-6)
     assert at_the_end.voids(0.0)[1].any(axis=1)[at_the_end.x < 0.0].all()
@@ -204,9 +204,9 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
 
 @pytest.mark.parametrize(("finished", "rows"), [(1, 1), (60, 60), (500, 60)])
 def test_growth_over_many_impacts_has_sixty_rows(monkeypatch: pytest.MonkeyPatch, finished: int, rows: int) -> None:
-    read = lambda _, number=finished + 1: SimpleNamespace(finished=number - 1)  # noqa: E731
+    read = lambda _, number=finished + 1: SimpleNamespace(mass=np.zeros(number - 1))  # noqa: E731
     monkeypatch.setattr(coating_growth, "read", read)
-    monkeypatch.setattr(coating_growth, "row", lambda built, _: {"impacts": built.finished})
+    monkeypatch.setattr(coating_growth, "row", lambda built, _: {"impacts": len(built.mass)})
     numbers = [each["impacts"] for each in growth(None, 1.0)]  # type: ignore[arg-type]
     assert len(numbers) == len(set(numbers)) == rows
     assert (numbers[0], numbers[-1]) == (1, finished)

@@ -223,7 +223,9 @@ def test_a_long_particle_needs_a_wider_target_and_more_time() -> None:
     assert lying.particle.width == pytest.approx(6.17 * 12.13e-6, rel=1e-3)
     assert lying.derived.refined_radius > 0.5 * lying.particle.width
     assert standing.derived.refined_radius == pytest.approx(scene_with().derived.refined_radius)
-    assert standing.derived.end_time > 2.5 * scene_with().derived.end_time
+    assert standing.derived.end_time_of(standing.particle) > 2.5 * scene_with().derived.end_time_of(
+        scene_with().particle
+    )
     (problem,) = problems_with(particle__shape="rod", substrate__diameter="100 um")
     assert "at least 125 um" in problem
     assert scene_with(particle__shape="rod", particle__tilt="90 deg", substrate__diameter="100 um")

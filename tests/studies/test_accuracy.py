@@ -8,6 +8,8 @@ from pathlib import Path
 import errors as battery  # workflows/errors.py
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from pages import table_rows
 from scenes import scene_with, several
 
 from coupler import __version__
@@ -252,13 +254,13 @@ def test_the_ladder_is_told_with_the_error_of_each_rung(rows):
 
 def test_the_forecast_is_the_median_of_the_battery():
     """What `check` says is what docs/tables/errors.csv holds, to two digits (workflows/errors.py prints it)."""
-    found = battery.forecast(battery.table().rows)
+    found = battery.forecast(table_rows("errors"))
     assert found == pytest.approx(refinement.FORECAST)
 
 
 def test_rows_of_another_version_are_named(rows, tmp_path):
     older = [row | {"version": "0.0.9"} if row["setting"] == "2000 points" else row for row in rows]
-    page = draw.html(older, "a case", 300.0, b"")
+    page = draw.html(older, "a case", 300.0, Figure())
     assert page.count("(version 0.0.9)") == 1
 
 
