@@ -60,7 +60,8 @@ class Rows(Shape):
 
     def new(self, n: int) -> np.ndarray:
         """An array of n rows of the fill value."""
-        return np.full((n, *self.shape[1:]), self.fill, self.dtype)
+        shape = (n, *self.shape[1:])  # zeros take no time until they are written
+        return np.full(shape, self.fill, self.dtype) if self.fill else np.zeros(shape, self.dtype)
 
 
 @cache

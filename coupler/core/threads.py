@@ -23,6 +23,7 @@ from .cores import cores
 from .loops import FAILED, wait_for
 
 RANGES = 4  # of a loop in Python, for each thread, at most
+LEAST_ROWS = 4000  # in a range of `rows_at`
 R = TypeVar("R")
 
 
@@ -159,3 +160,14 @@ def share(work: Callable[[int, int], None], count: int, least: int) -> None:
         return
     bounds = [count * i // parts for i in range(parts + 1)]
     team.share(lambda i: work(bounds[i], bounds[i + 1]), parts)
+
+
+def rows_at(array: np.ndarray, rows: Ints) -> np.ndarray:
+    """array[rows], the rows divided among the threads."""
+    found = np.empty((len(rows), *array.shape[1:]), array.dtype)
+
+    def fill(lo: int, hi: int) -> None:
+        found[lo:hi] = np.take(array, rows[lo:hi], axis=0)
+
+    share(fill, len(rows), LEAST_ROWS)
+    return found

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..contact.overlap import overlaps
 from ..contact.surfaces import earlier_neighbours, interface
-from ..fe.cooling import Film, Links, cool
+from ..fe.conductances import Links
+from ..fe.cooling import Film, cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
 from ..fe.model import Elements

@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ..compiling import njit
-from ..core.arrays import Floats, Ints, Laws, SpringTable
+from ..core.arrays import Bools, Floats, Ints, Laws, SpringTable, occurring
 from ..core.threads import share
 from ..geometry.products import times_rows
 from .blocks import edge_cofactors
@@ -29,23 +29,29 @@ FREQUENCY = 0.7  # omega dt of the grid's displacements: adds an eighth to the b
 NODES, MOST = 100, 1500  # nodes in a box of the grid, and boxes, about: with more, solving costs what the steps save
 MOST_ACROSS = 20  # boxes in one direction, at most
 CORNERS = 8  # of a box
+RANGES = 16  # of the loop over points of the grid, at most
 LEAST = 1e-4  # of the nodes' masses, in the mass of motions that nothing resists
 ALONE = 1e-9  # of the largest mass, for points of the grid that no free node depends on
 
 
 @njit(cache=True, nogil=True)
 def _stiffness(
-    low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats
+    low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats,
+    occurs: Bools,
 ) -> None:  # fmt: skip
     """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T is it then, A (g,g,3,3) by points and
-    directions. Only the rows of the points [low, high) of the grid are written.
+    directions. Only the rows of the points [low, high) of the grid are written; occurs (g,g): which blocks are not zero.
 
-    points, weights (n,8): of the grid, for each node; weight 0 where it is held.
+    points, weights (n,8): of the grid, for each node, the lowest point first and the highest last; weight 0 where it is held.
     """
     own, gradients = np.empty(4 * CORNERS, np.int64), np.empty((4 * CORNERS, 3))
     shape = np.empty((4, 3))
     for e in range(m):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        if min(points[n0, 0], points[n1, 0], points[n2, 0], points[n3, 0]) >= high:
+            continue
+        if max(points[n0, -1], points[n1, -1], points[n2, -1], points[n3, -1]) < low:
+            continue
         c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         shape[1, 0], shape[1, 1], shape[1, 2] = c00 / det, c01 / det, c02 / det
         shape[2, 0], shape[2, 1], shape[2, 2] = c10 / det, c11 / det, c12 / det
@@ -76,6 +82,7 @@ def _stiffness(
             for j in range(i, count):
                 h, V = gradients[j], det / 6.0 if i < j else det / 12.0
                 G, lame = V * law.G, V * (law.K - 2.0 / 3.0 * law.G)
+                occurs[own[i], own[j]] = True
                 dot = G * (g[0] * h[0] + g[1] * h[1] + g[2] * h[2])
                 block = A[own[i], own[j]]  # together in memory
                 for d in range(3):
@@ -92,25 +99,28 @@ class CoarseGrid:
         n, m = t.active_nodes, t.active_elements
         points, weights = _interpolation(t.nodes.x[:n])
         weights[~free[:n]] = 0.0
-        used, points = np.unique(points, return_inverse=True)
-        points = points.reshape(n, CORNERS)
+        used = occurring(points, int(points.max()) + 1)
+        points = np.searchsorted(used, points)
         P = sparse.csr_array(
             (weights.ravel(), points.ravel(), np.arange(0, weights.size + 1, CORNERS)), shape=(n, len(used))
         )
         self._P, self._PT = P, P.T.tocsr()
-        A = np.zeros((len(used), len(used), 3, 3))
+        g = len(used)
+        A, occurs = np.zeros((g, g, 3, 3)), np.zeros((g, g), bool)
 
         def add(low: int, high: int) -> None:
-            _stiffness(low, high, m, t.nodes.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
+            _stiffness(low, high, m, t.nodes.x, t.mesh.conn, t.laws, t.law_of, points, weights, A, occurs)
 
-        share(add, len(used), max(len(used) // 2, 1))  # halves: each range looks at all elements
-        stiff = sparse.csr_array(A.transpose(0, 2, 1, 3).reshape(3 * len(used), -1))
+        share(add, g, max(g // RANGES, 1))  # each range looks at all elements
+        row, column = occurs.nonzero()
+        starts = np.searchsorted(row, np.arange(g + 1))
+        stiff = sparse.bsr_array((A[row, column], column, starts), shape=(3 * g, 3 * g)).tocsr()
         stiff = stiff + stiff.T + _of_half_space(P, t)
         if links:
             springs = SpringTable(*map(np.concatenate, zip(*links, strict=True)))
             stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
         heavy = sparse.kron(self._PT @ P.multiply(mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
-        alone = sparse.diags_array(np.full(3 * len(used), ALONE * heavy.diagonal().max()))
+        alone = sparse.diags_array(np.full(3 * g, ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
         self._inertia = splu(
             inertia.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}

@@ -103,13 +103,16 @@ def prepare_ordered(
     return prepared, order, by_reach
 
 
-def cells_of(mesh: TetMesh) -> Cells:
-    """A mesh as kernels take it, the elements around each node in their order: sums have one order."""
-    flat, n = mesh.conn.ravel(), len(mesh.points)
-    start = np.zeros(n + 1, np.int64)
+def around(conn: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """start (n+1,), table (4m,) of `Cells`: the elements (m,4) around each of n nodes in their order: sums have one order."""
+    flat, start = conn.ravel(), np.zeros(n + 1, np.int64)
     np.cumsum(np.bincount(flat, minlength=n), out=start[1:])
-    table = np.argsort(flat, kind="stable").astype(np.int32)
-    return Cells(mesh.conn, mesh.B, mesh.V0, mesh.node_volume, start, table)
+    return start, np.argsort(flat, kind="stable").astype(np.int32)
+
+
+def cells_of(mesh: TetMesh) -> Cells:
+    """A mesh as kernels take it."""
+    return Cells(mesh.conn, mesh.B, mesh.V0, mesh.node_volume, *around(mesh.conn, len(mesh.points)))
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
 from ..core.records import Shape
-from ..core.threads import together
+from ..core.threads import share, together
 from ..errors import CheckpointError
 from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness
@@ -118,7 +118,7 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
     together, each of them times (dt / its own step)^2."""
     conn = t.mesh.conn
-    stable_dt(0, len(conn), t.nodes.x, t.nodes.J, t.cells, t.metals, t.dt_of)
+    share(lambda lo, hi: stable_dt(lo, hi, t.nodes.x, t.nodes.J, t.cells, t.metals, t.dt_of), len(conn), LEAST_ELEMENTS)
     mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
     return lumped(conn, mass, len(t.nodes.x))
 

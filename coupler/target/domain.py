@@ -7,11 +7,13 @@ lacks or has too much (under a percent) its density makes up for, so that the ma
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..core.arrays import occurring
-from ..core.records import concatenate, new_rows, take
+from ..core.records import arrays_of, concatenate, new_rows, take
+from ..core.threads import rows_at
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh, prepare_ordered
 from ..fe.state import ElementState, NodeState
@@ -21,6 +23,7 @@ from ..physics.constitutive import pressures, yield_stresses
 from ..physics.metal import MetalState, carried
 
 Point = tuple[float, float, float]
+R = TypeVar("R")
 SPLAT = "splat"  # name of the facets of body b: SPLATb
 
 
@@ -91,7 +94,11 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
     bodies = np.cumsum([0, *(len(d.laws) for d in domains)])
 
     def put(arrays: list[np.ndarray], order: np.ndarray) -> np.ndarray:
-        return np.take(arrays[0] if len(arrays) == 1 else np.concatenate(arrays), order, axis=0)
+        return rows_at(arrays[0] if len(arrays) == 1 else np.concatenate(arrays), order)
+
+    def put_record(records: list[R], order: np.ndarray) -> R:
+        joined = concatenate(records)
+        return replace(joined, **{name: rows_at(array, order) for name, array in arrays_of(joined).items()})  # type: ignore[type-var]
 
     x = np.concatenate([d.nodes.x for d in domains])
     distance = np.min([np.linalg.norm(x - np.asarray(o), axis=1) for o in origins] or np.zeros((1, len(x))), axis=0)
@@ -116,8 +123,8 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
         sets={name: ids + at for d, at in zip(domains, facets, strict=False) for name, ids in d.mesh.sets.items()},
         reach_node=distance[by_node], reach_element=reach[by_element], axis=domains[0].mesh.axis,
     )  # fmt: skip
-    node_state = take(concatenate([d.nodes for d in domains]), by_node)
-    element_state = take(concatenate([d.elements for d in domains]), by_element)
+    node_state = put_record([d.nodes for d in domains], by_node)
+    element_state = put_record([d.elements for d in domains], by_element)
     body = put([d.body + at for d, at in zip(domains, bodies, strict=False)], by_element).astype(np.int32)
     return Domain(mesh, node_state, element_state, body, np.concatenate([d.laws for d in domains])), rank
 

@@ -9,7 +9,8 @@ from conftest import elastic
 
 from coupler.core.threads import threads_of
 from coupler.fe import mesh as meshes
-from coupler.fe.cooling import Film, Links, cool
+from coupler.fe.conductances import Links
+from coupler.fe.cooling import Film, cool
 from coupler.fe.explicit import Target
 from coupler.fe.heat import LEAST
 from coupler.geometry import mesher

@@ -1,0 +1,181 @@
+"""Matrix of heat conduction between the nodes of a target at rest; its pattern stays as conductivities change (numba).
+
+Elements and links conduct in the same way: between each two of four nodes. The matrix is made row by row, divided among the threads.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..compiling import njit
+from ..core.arrays import Floats, Ints
+from ..core.threads import share
+from ..physics.constitutive import conductivity
+from .blocks import edge_cofactors
+from .heat import LEAST
+from .mesh import around
+from .model import Cells, Metals
+
+LINK_RESISTANCE = 0.03  # of a link of perfect contact, in that of an element: 0.01 takes half as many iterations more
+FIRST, SECOND = np.triu_indices(4, 1)  # corners of the six pairs of four nodes
+PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # which of the pairs two corners are
+
+
+@dataclass(frozen=True)
+class Links:
+    """Perfect thermal contact between bodies: nodes (k,), each with a point on a triangle (k,3), weights (k,3), and area (k,) m2."""
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    area: np.ndarray
+
+
+class Conductors(NamedTuple):
+    """Elements, or links: conn (k,4) nodes; w (k,6) m: conductance of each pair for a conductivity of 1; start, table: those around
+    each node, as in `Cells`; place (4k,4): in the row of a node, of the four nodes of each that is around it."""
+
+    conn: Ints
+    w: Floats
+    start: Ints
+    table: Ints
+    place: Ints
+
+
+@dataclass(frozen=True)
+class Conductances:
+    """What conducts between n nodes. from_gas (n,) W/K; indptr (n+1,), indices: the pattern, each row's own node first."""
+
+    elements: Conductors
+    links: Conductors
+    from_gas: np.ndarray
+    indptr: np.ndarray
+    indices: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray, c: Cells, links: Sequence[Links], from_gas: np.ndarray) -> "Conductances":
+        """Those of elements with nodes at x (n,3) m and of links between them."""
+        n, m = len(x), len(c.conn)
+        ends = [np.concatenate([link.nodes[:, None], link.triangles], axis=1) for link in links]
+        conn = np.concatenate([np.zeros((0, 4), np.int32), *ends]).astype(np.int32)
+        # conductance k sqrt(area) / LINK_RESISTANCE, 0 where there is no area, times d d^T
+        area = np.concatenate([np.zeros(0), *(link.area for link in links)])
+        weights = np.concatenate([np.zeros((0, 3)), *(link.weights for link in links)])
+        d = np.concatenate([np.ones((len(conn), 1)), -weights], axis=1)  # a node less its point on a triangle
+        between = -d[:, FIRST] * d[:, SECOND] * (np.sqrt(area) / LINK_RESISTANCE)[:, None]
+        of_elements = Conductors(c.conn, np.empty((m, 6)), c.start, c.table, np.empty((4 * m, 4), np.int16))
+        of_links = Conductors(conn, between, *around(conn, n), np.empty((4 * len(conn), 4), np.int16))
+        share(lambda lo, hi: _between_corners(lo, hi, x, c.conn, of_elements.w), m, LEAST)
+        # a row has three nodes of each element and link around it at most, and its own
+        first = 3 * (c.start + of_links.start) + np.arange(n + 1)
+        count, found = np.ones(n, np.int32), np.full(first[-1], -1, np.int32)
+        found[first[:-1]] = np.arange(n)
+
+        def find(lo: int, hi: int) -> None:
+            for each in (of_elements, of_links):
+                _find_nodes(lo, hi, each, first, count, found)
+
+        share(find, n, LEAST)
+        indptr = np.zeros(n + 1, np.int32)
+        np.cumsum(count, out=indptr[1:])
+        return cls(of_elements, of_links, from_gas, indptr, found[found >= 0])
+
+    def explicit(self, k: np.ndarray) -> csr_array:
+        """The matrix (n,n) W/K for conductivities k (m,) W/mK; links of perfect contact have the smallest."""
+        data, of_link = np.empty(len(self.indices)), np.full(len(self.links.conn), k.min())
+
+        def add(lo: int, hi: int) -> None:
+            data[self.indptr[lo] : self.indptr[hi]] = 0.0
+            data[self.indptr[lo:hi]] = self.from_gas[lo:hi]
+            _add_rows(lo, hi, self.elements, k, self.indptr, data)
+            _add_rows(lo, hi, self.links, of_link, self.indptr, data)
+
+        share(add, len(self.from_gas), LEAST)
+        return self._of(data)
+
+    def implicit(self, K: csr_array, time: float, free: np.ndarray, capacity: np.ndarray) -> csr_array:
+        """capacity (n,) J/K + time (s) K for the nodes that are free (n,), 1 or 0; the identity for the others."""
+        data = np.empty(len(self.indices))
+
+        def write(lo: int, hi: int) -> None:
+            _write_implicit(lo, hi, time, free, capacity, self.indptr, self.indices, K.data, data)
+
+        share(write, len(free), LEAST)
+        return self._of(data)
+
+    def _of(self, data: np.ndarray) -> csr_array:
+        return csr_array((data, self.indices, self.indptr), shape=(len(self.from_gas),) * 2)
+
+
+@njit(cache=True, nogil=True)
+def _between_corners(lo: int, hi: int, x: Floats, conn: Ints, w: Floats) -> None:
+    """-grad N_a . grad N_b V of the corners of each element, m, into w (m,6)."""
+    for e in range(lo, hi):
+        # gradients of the shape functions of nodes 1 to 3, times six volumes
+        p0, p1, p2, q0, q1, q2, r0, r1, r2, det = edge_cofactors(
+            x[conn[e, 0]], x[conn[e, 1]], x[conn[e, 2]], x[conn[e, 3]]
+        )
+        s0, s1, s2, f = p0 + q0 + r0, p1 + q1 + r1, p2 + q2 + r2, 1.0 / (6.0 * det)
+        w[e, 0] = f * (s0 * p0 + s1 * p1 + s2 * p2)
+        w[e, 1] = f * (s0 * q0 + s1 * q1 + s2 * q2)
+        w[e, 2] = f * (s0 * r0 + s1 * r1 + s2 * r2)
+        w[e, 3] = -f * (p0 * q0 + p1 * q1 + p2 * q2)
+        w[e, 4] = -f * (p0 * r0 + p1 * r1 + p2 * r2)
+        w[e, 5] = -f * (q0 * r0 + q1 * r1 + q2 * r2)
+
+
+@njit(cache=True, nogil=True)
+def _find_nodes(lo: int, hi: int, c: Conductors, first: Ints, count: Ints, found: Ints) -> None:
+    """Add to each row the nodes of the conductors around it that it lacks: found[first[a]:first[a] + count[a]] of node a."""
+    for a in range(lo, hi):
+        for r in range(c.start[a], c.start[a + 1]):
+            nodes = c.conn[c.table[r] >> 2]
+            for j in range(4):
+                place = 0
+                while place < count[a] and found[first[a] + place] != nodes[j]:
+                    place += 1
+                if place == count[a]:
+                    found[first[a] + place] = nodes[j]
+                    count[a] += 1
+                c.place[r, j] = place
+
+
+@njit(cache=True, nogil=True)
+def _add_rows(lo: int, hi: int, c: Conductors, k: Floats, indptr: Ints, data: Floats) -> None:
+    """Add conductors of conductivity k (m,) to the rows [lo, hi)."""
+    for a in range(lo, hi):
+        for r in range(c.start[a], c.start[a + 1]):
+            e, i = c.table[r] >> 2, c.table[r] & 3
+            for j in range(4):
+                if j != i:
+                    between = k[e] * c.w[e, PAIR[i, j]]
+                    data[indptr[a] + c.place[r, j]] -= between
+                    data[indptr[a]] += between
+
+
+@njit(cache=True, nogil=True)
+def _write_implicit(
+    lo: int, hi: int, time: float, free: Floats, capacity: Floats, indptr: Ints, indices: Ints, K: Floats, data: Floats
+) -> None:
+    """The rows [lo, hi) of `Conductances.implicit`."""
+    for a in range(lo, hi):
+        for z in range(indptr[a], indptr[a + 1]):
+            data[z] = time * K[z] * free[a] * free[indices[z]]
+        data[indptr[a]] += free[a] * capacity[a] + (1.0 - free[a])
+
+
+@njit(cache=True, nogil=True)
+def levels(
+    lo: int, hi: int, c: Conductors, metals: Metals, nodal: Floats, T: Floats, share: Floats, k: Floats, excess: Floats, rate: Floats,
+) -> None:  # fmt: skip
+    """Conductivity of each element at the mean of its nodes, into k (m,) W/mK; how much warmer it is than this mean, excess (m,) K; and
+    the rate at which it loses that, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of its capacity."""
+    for e in range(lo, hi):
+        n, w = c.conn[e], c.w[e]
+        mean = 0.25 * (nodal[n[0]] + nodal[n[1]] + nodal[n[2]] + nodal[n[3]])
+        k[e] = conductivity(metals.laws[metals.of_element[e]], mean)
+        excess[e] = T[e] - mean
+        rate[e] = 0.5 * k[e] * (w[0] + w[1] + w[2] + w[3] + w[4] + w[5]) / share[e]
