@@ -89,6 +89,7 @@ class Deposition:
 
     def next_batch(self) -> Batch | None:
         """The impacts that come next; None after the last, and after one that is undecided: what comes next has no target at rest."""
+        self._batch_began = clock.perf_counter()
         return None if self.undecided else self.plan.batch_from(len(self.records))
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
@@ -125,7 +126,7 @@ class Deposition:
         """The target after a batch and the time until the next, at rest, with all splats that stay. done: of `compute`."""
         if not done:
             return target
-        first = len(self.records)
+        first, computed = len(self.records), clock.perf_counter()
         whole = put_back(target, [(each.cut, restored_target(self.plan, each.of.bodies)) for each in done])
         self._take_note(target, whole, done, is_written=batch.is_whole)
         if self.undecided:
@@ -139,6 +140,11 @@ class Deposition:
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [each.task.place for each in done]
         whole = rest(self.plan, batch, whole, places, kinetic_0, self.joins[-1])
+        pause = self.joins[-1].get("cooling", {}).get("seconds", {})
+        bodies = clock.perf_counter() - computed - sum(pause.values())  # put together, numbered, searched for overlaps
+        self.joins[-1]["seconds"] = {"impacts": computed - self._batch_began, **pause, "bodies": bodies}
+        took = ", ".join(f"{piece} {seconds:.2f} s" for piece, seconds in self.joins[-1]["seconds"].items())
+        self.options.progress.record(f"impacts {first + 1} to {number} and the time until the next: {took}")
         for text in unsettled(self.joins[-1]):
             self.options.progress.log(text)
         if not batch.is_whole and number < len(self.plan.impacts):

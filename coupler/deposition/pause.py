@@ -23,7 +23,7 @@ from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
-from ..target.equilibrium import Known, settle
+from ..target.equilibrium import BALANCED, COOLED, Known, settle
 from ..target.placing import NEAR
 from .detaching import held_at_rest
 
@@ -41,26 +41,21 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
     insulated; bodies that lie on each other conduct as in perfect contact. What the impact has left out of balance, such as at the
-    rim of its cut, is not caused by cooling: it is relaxed first. Then equilibrium reaches as far as temperatures have changed by
-    COOLER, too.
+    rim of its cut, is not caused by cooling: it is relaxed first. Both equilibria reach as far as temperatures have changed by COOLER,
+    too.
     """
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
     before = t.elements.T.copy()
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
+    conducted = clock.perf_counter()
     changed = t.mesh.reach_element[np.abs(t.elements.T - before) > COOLER]
-    heat = t.elements.heat.copy()
-    t.elements.heat[:] = 0.0
-    known = Known()
-    balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
-    t.elements.heat[:] += heat
-    beyond = float(
-        np.nextafter(changed.max(initial=0.0), np.inf)
-    )  # all of a shell of the numbering has the same distance
-    settled = _settled(bodies, kinetic_0, max(radius, beyond), known)
-    report = {"balance_steps": balanced["settle_steps"], **cooling, **settled}
-    return {**report, "wall_s": clock.perf_counter() - started}
+    beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # all of a shell of the numbering has the same distance
+    radius, known = max(radius, float(beyond)), Known()
+    report: Values = {"balance_steps": _balance(bodies, kinetic_0, radius, known), **cooling}
+    report |= _settled(bodies, kinetic_0, radius, known)
+    return report | {"seconds": {"conduction": conducted - started, "equilibria": clock.perf_counter() - conducted}}
 
 
 def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodies, Values]:
@@ -75,8 +70,8 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
     bodies.separate(range(bodies.count))
-    known = Known()  # as before a pause: what is out of balance is not caused by cooling
-    settle(bodies, kinetic_0, 0.0, ramp=True, known=known)
+    known = Known()
+    _balance(bodies, kinetic_0, np.inf, known)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {
@@ -104,12 +99,21 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     return bodies, report | {"wall_s": clock.perf_counter() - started}
 
 
+def _balance(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> float:
+    """Relax what the impacts have left out of balance, which cooling has not caused; heat stays pending. Returns the steps."""
+    t = bodies.target
+    heat = t.elements.heat.copy()
+    t.elements.heat[:] = 0.0
+    steps = settle(bodies, kinetic_0, 0.0, BALANCED, radius, known)["settle_steps"]
+    t.elements.heat[:] += heat
+    return steps
+
+
 def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> Values:
     """Relax thermal stresses, and add what the cooling has changed to those."""
     t = bodies.target
     before = t.stress()
-    # within COOLED of equilibrium: nothing to watch
-    settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
+    settled = settle(bodies, kinetic_0, 0.0, COOLED, radius, known)  # nothing is left to watch
     t.elements.thermal_stress[:] += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 

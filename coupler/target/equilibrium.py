@@ -4,12 +4,13 @@ Real masses would make a handful of crushed elements dictate the step, and hundr
 element is given the mass with which it just bears the same step, so that the number of steps does not follow from their sizes, and
 a coarse grid moves whole regions at once (`fe.coarse`), so that it does not follow from how many elements there are across the
 bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh quotient of forces and velocities says in each step
-(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). In a pause it is that of the
-slowest motion at most: thin rims of splats are slower than all that the grid can have. Positions, stresses, plastic flow, bonds,
-contact and friction go their way as in the explicit solver.
+(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). Where more accuracy is asked for
+(`Aim`) it ends as that of the slowest motion: thin rims of splats are slower than all that the grid can have. Positions, stresses,
+plastic flow, bonds, contact and friction go their way as in the explicit solver.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,14 +28,28 @@ RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those 
 SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
-# The most in a pause: about the critical one of its slowest motion. More slows that one down; all faster ones decay as fast with this.
-RAMP_DAMPING = 0.06
+# About the critical one of the slowest motion. More slows that one down; all faster ones decay as fast with this.
+SLOW_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most
-RAMP = 40  # steps in which a change of temperature becomes pressure
-RELAXED = 2e-5  # of the kinetic energy of the impacts before: what may be left to be set free
-COOLED = 4e-7  # the same after cooling: stresses within a few MPa
+BACK = 20  # steps in which nodes that are held are moved, and bodies that lie in each other are pushed apart
 LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
+
+
+class Aim(NamedTuple):
+    """What an equilibrium is for. left: of the kinetic energy of the impacts before, what may be left to be set free; ramp: steps in
+    which pending heat becomes pressure, as in slow cooling; quick: steps before the damping is SLOW_DAMPING at most."""
+
+    left: float
+    ramp: int
+    quick: int
+
+
+RELAXED = 2e-5
+JOINED = Aim(RELAXED, 0, RELAX_STEPS)
+# Before a pause. Long waves that set out from the rims of cuts must not swing: they would make metal flow.
+BALANCED = Aim(4e-6, 0, BACK)
+COOLED = Aim(4e-7, 40, 0)  # after a pause: stresses within a few MPa
 
 
 class Known:
@@ -59,14 +74,11 @@ class Known:
         return self._grid[1]
 
 
-BACK = 20  # steps in which nodes that are held are moved, and bodies that lie in each other are pushed apart
-
-
 def settle(
     bodies: Bodies,
     kinetic_0: float,
     release_time: float = RELEASE_TIME,
-    ramp: bool = False,
+    aim: Aim = JOINED,
     radius: float = np.inf,
     known: Known | None = None,
     back: tuple[np.ndarray, np.ndarray] | None = None,
@@ -74,10 +86,10 @@ def settle(
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impacts before, the scale of the remaining energy; release_time: s of real motion, in which the energy released
-    afterwards is measured; ramp: the target's pending heat becomes pressure gradually, as in slow cooling. radius: m from the start of
-    the numbering, beyond which no node moves, unless this holds more than LOCAL of the elements; pending heat becomes pressure there
-    too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m they are
-    moved in this time. This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
+    afterwards is measured. radius: m from the start of the numbering, beyond which no node moves, unless this holds more than LOCAL of
+    the elements; pending heat becomes pressure there too. known: of an equilibrium of these bodies before, and for the next. back: held
+    nodes (k,), and by how much (k,3) m they are moved in this time. This time is not part of the simulated time: no heat is conducted
+    during it. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
@@ -87,7 +99,7 @@ def settle(
     energy = _stored(bodies) + t.kinetic()
     t.rest()
     relaxation = Relaxation(t, radius, RELAX_STEP)
-    report = _relax(bodies, relaxation, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
+    report = _relax(bodies, relaxation, aim._replace(left=aim.left * kinetic_0), known or Known(), back)
     taken = energy - _stored(bodies)
     released = _run_for(bodies, release_time)
     t.rest()
@@ -104,32 +116,30 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies,
     relaxation: Relaxation,
-    enough: float,
-    ramp: bool,
+    aim: Aim,
     known: Known,
     back: tuple[np.ndarray, np.ndarray] | None,
 ) -> dict[str, float]:
-    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known, back: see `settle`."""
+    """Steps of dynamic relaxation until what may still be set free is below aim.left, in J here; known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
-    heat, portions = t.elements.heat[:m].copy(), RAMP if ramp else 0
+    heat = t.elements.heat[:m].copy()
     moved, moving = back if back is not None else (np.zeros(0, np.int64), np.zeros((0, 3)))
     goal, moving_for = t.nodes.x[moved] + moving, BACK if len(moved) else 0
-    if ramp:
+    if aim.ramp:
         t.elements.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
     _weigh(bodies, relaxation, known.highest(t))
     dt = relaxation.dt
     steps, left, n = 0, np.inf, t.active_nodes
     grid, along, momentum = known.grid(bodies, relaxation), np.zeros((n, 3)), np.zeros((n, 3))
-    most = RAMP_DAMPING if ramp else MOST_DAMPING
-    before, damping = t.nodes.total[:n].copy(), most
-    while steps < RELAX_STEPS and left > enough:
+    before, damping = t.nodes.total[:n].copy(), MOST_DAMPING if aim.quick else SLOW_DAMPING
+    while steps < RELAX_STEPS and left > aim.left:
         if steps % SEARCH_EVERY == 0:
             _search(bodies, dt)
         share(partial(_damp, t, relaxation.free, dt, damping, along, momentum), n, motion.LEAST)
-        if steps < portions:
-            t.elements.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
+        if steps < aim.ramp:
+            t.elements.heat[:m] += (_ramp((steps + 1) / aim.ramp) - _ramp(steps / aim.ramp)) * heat
         t.nodes.v[moved] = (goal - t.nodes.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
         if steps < BACK:
             bodies.reduce_overlap(1.0 - 1.0 / (BACK - steps))
@@ -139,8 +149,9 @@ def _relax(
         steps += 1
         along = grid.acceleration(t.nodes.total[:n])
         kinetic, omega2, loose = _moving(relaxation, n, along, momentum, before)
+        most = MOST_DAMPING if steps < aim.quick else SLOW_DAMPING
         damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
-        if steps > max(2 * SEARCH_EVERY, portions, moving_for):
+        if steps > max(2 * SEARCH_EVERY, aim.ramp, moving_for):
             left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
     relaxation.rest()
     return {"settle_steps": float(steps), "left_J": float(left)}

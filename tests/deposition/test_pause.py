@@ -30,10 +30,9 @@ from coupler.impact.ending import HELD_STILL, EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import Material, material
-from coupler.target import equilibrium as relaxation
 from coupler.target.bodies import Bodies
 from coupler.target.domain import BodyState
-from coupler.target.equilibrium import settle
+from coupler.target.equilibrium import COOLED, settle
 
 NI, STEEL = material("Ni"), material("SS304")
 STIFF_BASE = replace(STEEL, G=20 * STEEL.G, c0=np.sqrt(20) * STEEL.c0, rho=STEEL.rho)
@@ -100,7 +99,7 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
     metal, base = stiff(NI, 13e-6), STIFF_BASE
     bodies = coated(metal, base, "tied")
     for _ in range(6):  # what is out of balance before is none of the cooling's
-        settle(bodies, 1e-6, 0.0, ramp=True)
+        settle(bodies, 1e-6, 0.0, COOLED)
     started = bodies.target.stress()
     cool_to_ambient(planned(metal, base), bodies, 1e-6)
     t = bodies.target
@@ -116,11 +115,11 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
 def test_bodies_yield_as_in_slower_cooling() -> None:
     """A change of temperature that comes too suddenly lets stresses overshoot, and the base yields more."""
     plastic = []
-    for ramp in (relaxation.RAMP, 10 * relaxation.RAMP):
+    for ramp in (COOLED.ramp, 10 * COOLED.ramp):
         metal, base = stiff(NI, 13e-6), STIFF_BASE
         bodies = coated(metal, base, "tied")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(relaxation, "RAMP", ramp)
+            patch.setattr(closing_stage, "COOLED", COOLED._replace(ramp=ramp))
             cool_to_ambient(planned(metal, base), bodies, 1e-6)
         plastic.append(float(bodies.target.elements.eps_p @ bodies.target.elements.volume))
     assert plastic[0] == pytest.approx(plastic[1], rel=0.15)

@@ -14,7 +14,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.target.bodies import Bodies
 from coupler.target.cut import cut_out
-from coupler.target.equilibrium import settle
+from coupler.target.equilibrium import COOLED, settle
 
 STEEL = material("SS304")
 
@@ -37,7 +37,7 @@ def stresses_of_a_warm_spot(bodies: Bodies) -> np.ndarray:
     away = np.linalg.norm(t.nodes.x[t.mesh.conn].mean(axis=1), axis=1)
     hot, ring = away < 10e-6, (away >= 10e-6) & (away < 30e-6)
     t.warm(np.flatnonzero(hot), STEEL.rho * STEEL.cp_at(300.0) * 60.0 * t.mesh.V0[hot])
-    settle(bodies, 1e-9, ramp=True)
+    settle(bodies, 1e-9, aim=COOLED)
     stress = t.stress()
     return np.array(
         [np.average(stress[part, i], weights=t.elements.volume[part]) for part in (hot, ring) for i in (0, 2)]
