@@ -10,14 +10,12 @@ to rounding: what the linear solver leaves of the whole of it is spread over all
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, cg
 
 from ..core.threads import share
 from ..errors import SolverError
-from ..geometry.products import times
+from ..geometry.products import solve, times
 from .conductances import Conductances, Links, levels
 from .explicit import Target
 from .heat import LEAST, gains, means, shares, take_heat
@@ -95,19 +93,15 @@ def cool(
         source = capacity * nodal(own)
         # fixed nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
         A = matrix.implicit(K, GAMMA * dt, free, capacity)
-        inverse = 1.0 / A.data[A.indptr[:-1]]
-        conduct = LinearOperator(A.shape, partial(times, A), dtype=float)
-        jacobi = LinearOperator(A.shape, lambda r, inverse=inverse: inverse * r)
         change, stage = np.where(free == 0.0, fixed_T - T, 0.0), np.zeros(n)
         for weight in ((1.0 - GAMMA) / GAMMA, 1.0):
             b = GAMMA * free * (source - dt * (times(K, T + change) - from_gas * T_gas))
-            stage, failed = cg(conduct, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
-            if failed:
+            if not solve(A, b, stage, CG_TOLERANCE, most=5000):
                 raise SolverError(
                     "the heat conduction in the pause between impacts does not converge: give a shorter dwell or a finer preset"
                 )
             # what the solver has left of the whole heat, spread over all nodes
-            stage += free * (np.sum(b - conduct @ stage) / (free @ (conduct @ free)))
+            stage += free * (np.sum(b - times(A, stage)) / (free @ times(A, free)))
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
         share(take, m, LEAST)

@@ -1,11 +1,12 @@
-"""Products of sparse matrices, their rows divided among the threads (numba)."""
+"""Products of sparse matrices and systems of equations, their rows divided among the threads (numba)."""
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
-from ..core.threads import share
+from ..core.loops import PARTS, ranges
+from ..core.threads import share, together
 
 LEAST = 2000  # rows in a range, at least
 
@@ -22,6 +23,52 @@ def times_rows(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
     product = np.empty((A.shape[0], 3))
     share(lambda lo, hi: _products_of_rows(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
+
+
+def solve(A: csr_array, b: np.ndarray, x: np.ndarray, tolerance: float, most: int) -> bool:
+    """Solve A x = b of a positive definite matrix, whose rows begin with their diagonals, by conjugate gradients with these as
+    preconditioner (Hestenes & Stiefel 1952, J. Res. NBS 49, 409).
+
+    x (n,): the start, and then the solution, with a residual of `tolerance` |b|. Returns whether `most` iterations are enough.
+    """
+    inverse, r, beta = 1.0 / A.data[A.indptr[:-1]], b - times(A, x), 0.0
+    (p, q), sums = np.zeros((2, len(b))), np.zeros((PARTS, 3))
+    rz, rr, enough = float(r @ (inverse * r)), float(r @ r), tolerance**2 * float(b @ b)
+    while rr > enough:
+        if most == 0:
+            return False
+        together(_iterate, A.indptr, A.indices, A.data, inverse, beta, rz, x, r, p, q, sums)
+        _, next_rz, rr = sums.sum(axis=0)
+        beta, rz, most = next_rz / rz, next_rz, most - 1
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _iterate(
+    team: Ints, indptr: Ints, indices: Ints, data: Floats, inverse: Floats, beta: float, rz: float, x: Floats, r: Floats, p: Floats,
+    q: Floats, sums: Floats,
+) -> None:  # fmt: skip
+    """An iteration of `solve`. sums (PARTS,3), part by part: p . A p, and of the new residual r . z and r . r."""
+    for lo, hi, _ in ranges(team, 0, len(x), LEAST):
+        for i in range(lo, hi):
+            p[i] = inverse[i] * r[i] + beta * p[i]
+    for lo, hi, part in ranges(team, 1, len(x), LEAST):
+        _products(lo, hi, indptr, indices, data, p, q)
+        sums[part, 0] = 0.0
+        for i in range(lo, hi):
+            sums[part, 0] += p[i] * q[i]
+    pq = 0.0
+    for part in range(len(sums)):
+        pq += sums[part, 0]
+    alpha = rz / pq
+    for lo, hi, part in ranges(team, 2, len(x), LEAST):
+        next_rz = rr = 0.0
+        for i in range(lo, hi):
+            x[i] += alpha * p[i]
+            r[i] -= alpha * q[i]
+            next_rz += inverse[i] * r[i] * r[i]
+            rr += r[i] * r[i]
+        sums[part, 1], sums[part, 2] = next_rz, rr
 
 
 @njit(cache=True, nogil=True)
