@@ -149,6 +149,8 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
     (first, last), closing = result.summary["joins"], result.summary["closing"]
     assert first["cooling"]["time_s"] > 1e-3
     assert first["cooling"]["T_max_after_K"] < 305.0
+    assert list(first["seconds"]) == ["impacts", "conduction", "equilibria", "bodies"]
+    assert min(first["seconds"].values()) > 0.0
     assert last["bodies"] == 1
     assert all(impact["at_end"] is not None for impact in result.impacts)
     cold = result.fields(-1, "cold")
