@@ -32,7 +32,8 @@ from pages import (
 
 from coupler import Scene
 from coupler.errors import ColdsprayError
-from coupler.physics.materials import entry
+from coupler.physics.materials import entry, material
+from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
@@ -202,13 +203,18 @@ def splat_ratio(row: Row) -> float:
 
 
 def splat_part(rows: Sequence[Row]) -> list[str]:
-    """Ratio of splats on 4340 by each strength set, and the measured ones, in a sentence each."""
-    done = sorted((row for row in rows if not row["failed"]), key=splat_ratio)
-    ours = ", ".join(
-        f"{row['metal']} ({row['set']}) {splat_ratio(row):.2f} ± {number(row, 'flattening_band'):.2f}" for row in done
-    )
-    measured = ", ".join(f"{name} {mean:.2f} ± {error:.2f}" for name, (mean, error) in SPLAT["measured"].items())
-    return [f"Measured: {measured}. Computed: {ours}. {versions(done)}"]
+    """Ratio of splats on 4340 by each strength set and of each powder, by hardness; that of a set as Tabor has it."""
+    done = [row for row in rows if not row["failed"]]
+    lines = []
+    for row in done:
+        flow = material(row["metal"], row["set"]).flow_stress(STRAIN_OF_INDENT, 0.0, 293.0)
+        ratio = f"{splat_ratio(row):.2f} ± {number(row, 'flattening_band'):.2f}"
+        lines.append([f"{HARDNESS_OVER_FLOW_STRESS * flow / 1e9:.2f}", f"{row['metal']} ({row['set']})", ratio, ""])
+    for name, (hardness, error) in SPLAT["nanohardness_GPa"].items():
+        mean, scatter = SPLAT["measured"][name]
+        lines.append([f"{hardness:.2f} ± {error:.2f}", f"powder {name}", "", f"{mean:.2f} ± {scatter:.2f}"])
+    head = ["hardness, GPa", "metal", "computed", "measured"]
+    return [*markdown(head, sorted(lines)), "", versions(done)]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
@@ -218,7 +224,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     for left, metal in zip((0.07, 0.56), METALS, strict=True):
         axis = figure.add_axes((left, 0.3, 0.42, 0.65))
         v, e = np.array(REBOUND[metal]["e"]).T
-        axis.errorbar(v, e, REBOUND["e_error"], REBOUND["velocity_error_m_s"], fmt="ks", ms=4, lw=1, label="measured")
+        axis.errorbar(v, e, REBOUND["e_error"], v * REBOUND["velocity_error"], fmt="ks", ms=4, lw=1, label="measured")
         half = band_of(rows, metal)
         for name, colour in zip(entry(metal).sets, colours, strict=False):
             for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
