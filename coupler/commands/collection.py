@@ -25,11 +25,15 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
 
     Raises SceneError with every problem, by row and column.
     """
+    from ..errors import SceneError
     from ..files.inputs import read_text
     from ..files.outputs import MARK, claim_file, write_text
 
     claim_file(out, (".toml",), [table], force)
-    tables, lines = _read(read_text(table), str(table))
+    try:
+        tables, lines = _read(read_text(table), str(table))
+    except csv.Error as error:
+        raise SceneError([f"is no csv table: {error}"], str(table)) from None
     key = f"library = {json.dumps(out.name)}"
     text = f"# {MARK} materials --import {table.name}\n# a scene names this file before its first table: {key}\n"
     for name, values in tables.items():
@@ -68,9 +72,8 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             values, remark = _with_heat(name, _USUAL | values)
             catalogue, texts = from_scene({name: values})
             found = [text.partition(": ")[2] for text in texts]
-            found = [
-                text for text in found if text.split()[0] in values
-            ] or found  # without what only follows from these
+            # without what only follows from a faulty column
+            found = [text for text in found if text.split()[0] in values] or found
             if not found:
                 lines.append(_line(catalogue[name], remark))
         tables[name] = values
@@ -116,7 +119,8 @@ def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object],
     near = min((materials.material(other) for other in materials.names()), key=lambda metal: abs(metal.rho - rho))
     numbers = {"cp": f"{near.cp_at(300.0):g} J/(kg K)", "k": f"{near.k_at(300.0):g} W/(m K)"}
     remark = f"{' and '.join(lacks)} of {near.name}, the metal of the library nearest in density"
-    return {**values, **{key: numbers[key] for key in lacks}, "note": remark}, remark
+    note = "; ".join(str(text) for text in (values.get("note"), remark) if text)
+    return {**values, **{key: numbers[key] for key in lacks}, "note": note}, remark
 
 
 def _line(metal: "Material", remark: str) -> str:

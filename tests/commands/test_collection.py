@@ -93,6 +93,8 @@ def test_a_table_without_its_columns_is_refused(tmp_path, capsys):
     assert "row 1: it lacks the columns nu; needed: name, A, B" in capsys.readouterr().err
     assert imported(tmp_path, HEAD) == 2
     assert "it has no rows" in capsys.readouterr().err
+    assert imported(tmp_path, HEAD, ROW.replace("Lesuer", "L" * 200_000)) == 2
+    assert "is no csv table: field larger than field limit" in capsys.readouterr().err
 
 
 def test_a_run_holds_what_it_uses_of_the_library(tmp_path):
