@@ -214,7 +214,7 @@ def splat_part(rows: Sequence[Row]) -> list[str]:
         mean, scatter = SPLAT["measured"][name]
         lines.append([f"{hardness:.2f} ± {error:.2f}", f"powder {name}", "", f"{mean:.2f} ± {scatter:.2f}"])
     head = ["hardness, GPa", "metal", "computed", "measured"]
-    return [*markdown(head, sorted(lines)), "", versions(done)]
+    return markdown(head, sorted(lines), done)
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
