@@ -40,7 +40,7 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
         text += f"\n[materials.{json.dumps(name)}]\n"
         text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
     write_text(out, text)
-    return [*lines, f"{len(tables)} metals in {out}; a scene names it before its first table: {key}"]
+    return [*lines, f"written to {out}; a scene names it before its first table: {key}"]
 
 
 def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[str]]:
