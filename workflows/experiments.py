@@ -188,11 +188,11 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
     """Mean errors of each set over the window, and the band of the discretisation."""
     lines = []
     for metal in METALS:
-        for name, entry_of in entry(metal).sets.items():
+        for name in entry(metal).sets:
             found = [errors(rows, metal, name, preset)[:2] for preset in PRESETS]
-            lines.append([metal, name, entry_of["law"], *(f"{rms:.3f} ({mean:+.3f})" for rms, mean in found)])
+            lines.append([metal, name, *(f"{rms:.3f} ({mean:+.3f})" for rms, mean in found)])
     bands = ", ".join(f"{metal} ± {band_of(rows, metal):.3f}" for metal in METALS)
-    head = ["metal", "strength set", "law", *(f"{preset}: rms (mean)" for preset in PRESETS)]
+    head = ["metal", "strength set", *(f"{preset}: rms (mean)" for preset in PRESETS)]
     return [*markdown(head, lines), "", f"Error of the discretisation: {bands}.", "", versions(rows)]
 
 

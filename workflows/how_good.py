@@ -107,6 +107,13 @@ def flights() -> Iterator[Pair]:
             yield Pair("velocity at impact, m/s", what, *velocities, 0, "[gas](gas.md)")
 
 
+def pairs() -> list[Pair]:
+    """All comparisons, those of a kind together."""
+    found = [*splats(), *rebounds(), *critical(), *coatings(), *flights()]
+    kinds = [p.kind for p in found]
+    return sorted(found, key=lambda p: kinds.index(p.kind))
+
+
 def table(pairs: list[Pair]) -> list[str]:
     """All pairs, and of each kind how many are apart."""
 
@@ -144,12 +151,10 @@ def draw(pairs: list[Pair], path: Path) -> None:
 
 def main() -> None:
     """Read, print, draw, write."""
-    pairs = [*splats(), *rebounds(), *critical(), *coatings(), *flights()]
-    kinds = [p.kind for p in pairs]
-    pairs.sort(key=lambda p: kinds.index(p.kind))
-    lines = table(pairs)
+    found = pairs()
+    lines = table(found)
     print(lines[0])
-    draw(pairs, EVIDENCE / "how_good.png")
+    draw(found, EVIDENCE / "how_good.png")
     write_parts("how_good", {"table": lines})
 
 

@@ -122,12 +122,12 @@ def moving(
     """Sums over the free rows, part by part, into sums (PARTS,3): of momentum . v (J), of -v . (f - before) (W), and of
     f . M^-1 f (N m/s2), of which `along` m/s2 is the part beside that of the nodes' own masses. f becomes `before`."""
     for lo, hi, part in ranges(team, 0, len(free), LEAST):
-        twice = power = loose = 0.0
+        twice = power = unbalanced = 0.0
         for a in range(lo, hi):
             if free[a]:
                 for d in range(3):
                     twice += momentum[a, d] * v[a, d]
                     power -= v[a, d] * (f[a, d] - before[a, d])
-                    loose += f[a, d] * (f[a, d] / mass[a] + along[a, d])
+                    unbalanced += f[a, d] * (f[a, d] / mass[a] + along[a, d])
                     before[a, d] = f[a, d]
-        sums[part, 0], sums[part, 1], sums[part, 2] = twice, power, loose
+        sums[part, 0], sums[part, 1], sums[part, 2] = twice, power, unbalanced

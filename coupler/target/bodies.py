@@ -297,7 +297,7 @@ class Bodies:
         """
         self.release_heat()
         reach = NEAR * size
-        is_near, loose = self._around(np.flatnonzero(gone), reach)
+        is_near, freed = self._around(np.flatnonzero(gone), reach)
         part, mesh = select(domain_now(self.target, self.body), ~gone[self.body]), self.target.mesh
         node, facet = new_numbers(part.nodes, len(mesh.points)), new_numbers(part.facets, len(mesh.facets))
         if self.bond is not None:
@@ -310,7 +310,7 @@ class Bodies:
             _covered(interface(surfaces, x, body, reach, near), surfaces, x, body, near, reach)
             for body, near in enumerate(earlier_neighbours(surfaces, x, reach, is_near[~gone])) if near
         ]  # fmt: skip
-        bare = np.setdiff1d(facet[loose], np.concatenate([loose[:0], *covered]))
+        bare = np.setdiff1d(facet[freed], np.concatenate([freed[:0], *covered]))
         new.buried = np.setdiff1d(new.buried, bare)
         return new
 

@@ -148,11 +148,11 @@ def _relax(
         relaxation.finish()
         steps += 1
         along = grid.acceleration(t.nodes.total[:n])
-        kinetic, omega2, loose = _moving(relaxation, n, along, momentum, before)
+        kinetic, omega2, unbalanced = _moving(relaxation, n, along, momentum, before)
         most = MOST_DAMPING if steps < aim.quick else SLOW_DAMPING
         damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
         if steps > max(2 * SEARCH_EVERY, aim.ramp, moving_for):
-            left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
+            left = max(kinetic, unbalanced / max(omega2, (LEAST_DAMPING / dt) ** 2))
     relaxation.rest()
     return {"settle_steps": float(steps), "left_J": float(left)}
 
@@ -192,8 +192,8 @@ def _moving(
     t, sums = relaxation.target, np.zeros((PARTS, 3))
     free, mass = relaxation.free, relaxation.mass[:n]
     together(motion.moving, free[:n], mass, t.nodes.total[:n], along, momentum, t.nodes.v[:n], before, sums)
-    twice, power, loose = sums.sum(axis=0)
-    return 0.5 * twice, max(power / relaxation.dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * loose
+    twice, power, unbalanced = sums.sum(axis=0)
+    return 0.5 * twice, max(power / relaxation.dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * unbalanced
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
