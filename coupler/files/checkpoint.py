@@ -1,7 +1,7 @@
 """Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
 
-A file is an uncompressed .npz of arrays with checksums; "header" is a JSON text: format, what the file belongs to, and the tree of the
-state, a record (see `core.records`). It is read by the type hints of the record: each field must have the type and shape that it says.
+A file is an uncompressed .npz of arrays with checksums; "header" is a JSON text: format, what the file belongs to, and the state, a
+record (see `core.records`). Records are made again by their class, whose fields say which type and shape each value must have.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ import shutil
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -21,10 +22,12 @@ from numpy.lib.npyio import NpzFile
 from ..core.records import rows_of, shapes_of
 from ..errors import CheckpointError, StoreError, UnreadableError
 
-FORMAT = 24
+FORMAT = 25
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _OF_AN_ARRAY = 600  # bytes beside its numbers, at most
+_AFTER_JSON: dict[type[Any], type[Any]] = {int: float, list: tuple}  # what JSON may have made of others
+_RECORD, _ARRAY = "@record", "@array"  # keys in the JSON text: the class of a record, the name of an array
 R = TypeVar("R")
 
 
@@ -39,8 +42,9 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
     temporary = path.with_suffix(".part")
     arrays: dict[str, np.ndarray] = {}
-    header = {"format": FORMAT, "about": dict(about), "tree": _flatten(state, "", arrays)}
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    header = {"format": FORMAT, "about": dict(about), "state": state}
+    text = json.dumps(header, default=partial(_for_json, arrays))
+    arrays["header"] = np.frombuffer(text.encode(), np.uint8)
     try:
         if shutil.disk_usage(directory).free < sum(array.nbytes + _OF_AN_ARRAY for array in arrays.values()):
             raise OSError(28, "no space left on the disk")
@@ -97,9 +101,12 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
     it is not whole or not such a record, OtherVersion if it belongs to another version or scene."""
     try:
         with open(path, "rb") as stream, NpzFile(stream) as arrays:
-            header = json.loads(arrays["header"].tobytes())
-            _check_origin(path, header, about or {})
-            return _decode(kind, header["tree"], arrays, "")
+            text = arrays["header"].tobytes()
+            _check_origin(path, json.loads(text), about or {})
+            state = json.loads(text, object_hook=partial(_from_json, arrays, _kinds(kind)))["state"]
+            if not isinstance(state, kind):
+                raise ValueError(f"the state is no {kind.__name__}")
+            return state
     except CheckpointError:
         raise
     except PermissionError as error:
@@ -122,93 +129,57 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
             raise OtherVersion(f"{path} was written with {other}: continue with that one, {again}")
 
 
-def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
-    """The tree with each array replaced by its key in `arrays`."""
+def _for_json(arrays: dict[str, np.ndarray], value: object) -> object:
+    """A value that JSON does not have: a record with the name of its class, the key of an array in `arrays`, a number of numpy."""
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {f.name: _flatten(vars(value)[f.name], f"{name}/{f.name}", arrays) for f in fields(value)}
-        return {"record": parts, "kind": type(value).__name__}
-    if isinstance(value, Mapping):
-        return {"dict": {key: _flatten(item, f"{name}/{key}", arrays) for key, item in value.items()}}
-    if isinstance(value, (list, tuple)):
-        return {"list": [_flatten(item, f"{name}/{i}", arrays) for i, item in enumerate(value)]}
-    if isinstance(value, np.ndarray):
-        if value.dtype.hasobject:
-            raise TypeError(f"{name} is an array of Python objects: a checkpoint stores numbers and texts only")
-        arrays[name] = value
-        return {"array": name}
+        return {_RECORD: type(value).__name__, **{f.name: vars(value)[f.name] for f in fields(value)}}
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        arrays[key := str(len(arrays))] = value
+        return {_ARRAY: key}
     if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return {"value": value}
-    raise TypeError(f"{name}: a checkpoint cannot store a {type(value).__name__}")
+        return value.item()
+    raise TypeError(f"a checkpoint cannot store a {type(value).__name__}")
 
 
-def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -> Any:
-    """The value of a tree as its type hint says. Raises ValueError where it is of another type."""
-    if hint is Any or hint is object:
-        return _plain(tree, arrays)
-    origin, options = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        wanted = tree.get("kind") if "record" in tree else None
-        chosen = [option for option in options if isinstance(option, type) and option.__name__ == wanted]
-        if not chosen:  # None, a number or a list
-            empty = "value" in tree and tree["value"] is None
-            chosen = [o for o in options if (o is type(None)) == empty and (wanted is None) != is_dataclass(o)]
-        if len(chosen) != 1:
-            raise ValueError(f"{name or 'the state'} has the wrong type, expected {hint}")
-        return _decode(chosen[0], tree, arrays, name)
-    if isinstance(hint, type) and is_dataclass(hint):
-        kinds = {kind.__name__: kind for kind in _kinds(hint)}
-        hint = kinds.get(str(tree.get("kind")), hint) if isinstance(tree, dict) else hint
-        parts, hints = _part(tree, "record", name), get_type_hints(hint)
-        if set(parts) != {f.name for f in fields(hint)}:
-            text = f"{name or 'the state'} has the fields {_short(sorted(parts))}"
-            raise ValueError(f"{text}, expected the fields of {hint.__name__}")
-        values = {key: _decode(hints[key], part, arrays, f"{name}/{key}") for key, part in parts.items()}
-        for key, spec in shapes_of(hint).items():
-            value, shape = values[key], values[key].shape
-            fits = len(shape) == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, shape, strict=True))
-            if value.dtype != spec.dtype or not fits:
-                expected = f"expected {spec.shape} of {spec.dtype}"
-                raise ValueError(f"{name}/{key} is an array {shape} of {value.dtype}, {expected}")
-        if len({len(values[key]) for key in rows_of(hint)}) > 1:
-            raise ValueError(f"{name} has arrays of different lengths")
-        return hint(**values)
-    if origin is list or origin is tuple:
-        items = _part(tree, "list", name)
-        return origin(_decode(options[0], item, arrays, f"{name}/{i}") for i, item in enumerate(items))
-    if origin is dict:
-        items = _part(tree, "dict", name).items()
-        return {key: _decode(options[1], item, arrays, f"{name}/{key}") for key, item in items}
-    if hint is np.ndarray or origin is np.ndarray:
-        return arrays[_part(tree, "array", name)]
-    value = tree["value"] if isinstance(tree, dict) and "value" in tree else tree
-    if hint is float and type(value) is int:
-        return float(value)
-    if type(value) is not (type(None) if hint is None else hint):
-        raise ValueError(f"{name} is not of the type {getattr(hint, '__name__', hint)}")
-    return value
+def _from_json(arrays: Mapping[str, np.ndarray], kinds: Mapping[str, type[Any]], part: dict[str, Any]) -> object:
+    """The value that `_for_json` has written. Raises ValueError or TypeError where a record is not as its class says."""
+    if _ARRAY in part:
+        return arrays[part[_ARRAY]]
+    return _record(kinds[part.pop(_RECORD)], part) if _RECORD in part else part
 
 
-def _kinds(record: type[object]) -> list[type[object]]:
-    """A class and all that derive from it."""
-    derived: list[type[object]] = record.__subclasses__()
-    return [record, *(kind for each in derived for kind in _kinds(each))]
+def _kinds(hint: Any) -> dict[str, type[Any]]:
+    """The records that a value of a type hint can hold, by the names of their classes."""
+    own: dict[str, type[Any]] = {hint.__name__: hint} if isinstance(hint, type) and is_dataclass(hint) else {}
+    inner = (*get_type_hints(hint).values(), *hint.__subclasses__()) if own else get_args(hint)
+    return own | {name: kind for each in inner for name, kind in _kinds(each).items()}
 
 
-def _part(tree: object, kind: str, name: str) -> Any:
-    if not isinstance(tree, dict) or kind not in tree:
-        raise ValueError(f"{name or 'the state'} is not a {kind}")
-    return tree[kind]
+def _record(kind: type[Any], values: dict[str, Any]) -> object:
+    """A record of a class from its fields, each of the type and shape that the class says. Raises ValueError or TypeError."""
+    hints = get_type_hints(kind)
+    for name, value in values.items():
+        allowed = _types(hints[name])
+        if not isinstance(value, allowed):
+            made = _AFTER_JSON.get(type(value))
+            if made is None or made not in allowed:
+                raise ValueError(f"{name} of {kind.__name__} is a {type(value).__name__}")
+            values[name] = made(value)
+    for name, spec in shapes_of(kind).items():
+        value, shape = values[name], values[name].shape
+        fits = len(shape) == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, shape, strict=True))
+        if value.dtype != spec.dtype or not fits:
+            raise ValueError(f"{name} is an array {shape} of {value.dtype}, expected {spec.shape} of {spec.dtype}")
+    if len({len(values[name]) for name in rows_of(kind)}) > 1:
+        raise ValueError(f"{kind.__name__} has arrays of different lengths")
+    return kind(**values)
 
 
-def _plain(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """A value without a type of its own: dicts, lists, arrays and numbers."""
-    if "dict" in tree:
-        return {key: _plain(item, arrays) for key, item in tree["dict"].items()}
-    if "list" in tree:
-        return [_plain(item, arrays) for item in tree["list"]]
-    return arrays[tree["array"]] if "array" in tree else tree["value"]
+def _types(hint: Any) -> tuple[type[Any], ...]:
+    """The classes of the values that a type hint allows."""
+    if get_origin(hint) in (Union, types.UnionType):
+        return tuple(kind for option in get_args(hint) for kind in _types(option))
+    return (object,) if hint is Any else (get_origin(hint) or hint,)
 
 
 def _short(value: object) -> str:
