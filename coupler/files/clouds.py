@@ -2,15 +2,13 @@
 
 import contextlib
 import io
-import math
-import zipfile
 from dataclasses import dataclass, replace
 from dataclasses import field as init
 from pathlib import Path
-from typing import IO
 
 import meshio
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from ..errors import ColdsprayError
@@ -22,7 +20,6 @@ LARGEST_FILE = 2 * 1024**3  # bytes
 TEXT = (".csv", ".tsv", ".xyz", ".txt", ".dat")
 _TEXT_MEMORY = 25  # bytes while reading over bytes of the file: the words of the text as objects
 _MESHIO_MEMORY = 8
-_MOST_ARRAYS = 1000  # in one .npz
 _FLAT = ("triangle", "quad", "polygon")  # how cells of surfaces are called
 _AXES = {name: axis for k, axis in enumerate("xyz") for name in (axis, f"points:{k}", f"points_{k}")}  # ParaView's too
 SURFACE = (
@@ -74,39 +71,18 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
 
 
 def _npz(path: Path, known: tuple[str, ...]) -> Points:
-    """Arrays of an .npz: their headers are read first, so that an archive that unpacks to terabytes is refused."""
-    with open_input(path) as stream, zipfile.ZipFile(stream) as archive:
-        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        if len(members) > _MOST_ARRAYS:
-            raise ValueError(f"it has {len(members)} arrays, too many")
-        heads = {}
-        for name, member in members.items():
-            with archive.open(member) as file:
-                heads[name] = _header(file)
-        of_points = next((name for name in ("points", "x") if name in heads), None)
+    """Arrays of an .npz with a row for each point. What the archive unpacks to is held against the memory first."""
+    with open_input(path) as stream, NpzFile(stream) as archive:
+        of_points = next((name for name in ("points", "x") if name in archive), None)
         if of_points is None:
             raise ValueError("it has no array 'points' or 'x'")
-        count = heads[of_points][0][:1]
-        wanted = [name for name, (shape, _) in heads.items() if len(shape) in (1, 2) and shape[:1] == count]
-        wanted = [name for name in wanted if name == of_points or name.lower() in known]
-        require_memory(2 * sum(math.prod(heads[n][0]) * heads[n][1].itemsize for n in wanted), f"to read {path}")
-        arrays = {}
-        for name in wanted:
-            with archive.open(members[name]) as file:
-                arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
-    return Points(arrays.pop(of_points), arrays)
-
-
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type that the header of an array of an .npz states."""
-    version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-    if read is None:
-        raise ValueError(f"it has an array of version {version}")
-    shape, _, dtype = read(file)
-    if dtype.hasobject or any(length < 0 for length in shape):
-        raise ValueError("it has an array of Python objects, or of a negative length")
-    return shape, dtype
+        wanted = [name for name in archive if name == of_points or name.lower() in known]
+        members = archive.zip.infolist() if archive.zip is not None else []
+        sizes = [member.file_size for member in members if member.filename.removesuffix(".npy") in wanted]
+        require_memory(2 * sum(sizes), f"to read {path}")
+        arrays = {name: archive[name] for name in wanted}
+    x = arrays.pop(of_points)
+    return Points(x, {name: values for name, values in arrays.items() if values.shape[:1] == x.shape[:1]})
 
 
 def _table(path: Path, columns: list[str] | None) -> Points:
