@@ -7,7 +7,6 @@ import contextlib
 import errno
 import fcntl
 import json
-import math
 import os
 import re
 from array import array
@@ -20,6 +19,7 @@ from typing import Annotated, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic_core import to_json
 
 from ..core.records import Shape
 from ..errors import CheckpointError, StoreError, UnreadableError
@@ -186,9 +186,9 @@ class Store:
     def finish(self, summary: Mapping[str, object]) -> None:
         """Write summary.json whole or not at all, with the number of rows of the history. Numbers that are not finite become null."""
         rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
-        text = json.dumps(_plain({**summary, **rows}), indent=2, allow_nan=False) + "\n"
+        plain = to_json({**summary, **rows}, inf_nan_mode="null", fallback=lambda value: value.tolist())
         with _named(self.directory / SUMMARY):
-            write_text(self.directory / SUMMARY, text)
+            write_text(self.directory / SUMMARY, json.dumps(json.loads(plain), indent=2) + "\n")
 
     def close(self) -> None:
         """Close all files. Never raises: a failed write has raised its own error."""
@@ -261,16 +261,3 @@ def _reason(error: Exception) -> str:
     if number == errno.EBADF or number is None:
         return str(error)
     return os.strerror(number)
-
-
-def _plain(value: object) -> object:
-    """A value that JSON can store: numpy becomes plain numbers and lists, numbers that are not finite become None."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
