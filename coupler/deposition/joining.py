@@ -10,7 +10,6 @@ from ..errors import SolverError, SplatError
 from ..files.summary import Values
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
-from ..particle.carried_surface import CarriedSurface
 from ..physics.constitutive import sound_speed
 from ..physics.metal import carried
 from ..plan.batches import Batch
@@ -141,16 +140,11 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 def cloud_of(domains: Domains) -> Cloud:
     """The points of an impact with their state and their surface, cavities included (`splat.cloud.Cloud`)."""
-    particle, body = domains.particle, domains.body
-    law, vertices, triangles = particle.law[0], domains.surface.positions(particle.x), domains.surface.triangles
-    if body.inner is not None:
-        cavity = CarriedSurface(body.points, *body.inner, body.spacing)
-        triangles = np.concatenate([triangles, cavity.triangles + len(vertices)])
-        vertices = np.concatenate([vertices, cavity.positions(particle.x)])
+    particle, surface, law = domains.particle, domains.whole_surface, domains.particle.law[0]
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
         velocity=np.array(particle.v),
         stress=particle.stress(), J=np.array(particle.points.J), energy=np.array(particle.points.energy), **particle.carried(),
-        surface=(vertices, triangles),
+        surface=(surface.positions(particle.x), surface.triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip

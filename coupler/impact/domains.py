@@ -38,18 +38,15 @@ SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing o
 class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
-    particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's, carried by its
-    points; body: the undeformed particle about its centre; place (3,) m: of that centre at the start; level: height (m) of the
-    surface where the particle first touches it; paths: where heat flows between chunks of steps; folding: contact of the particle with
-    itself.
+    particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's outer one, carried by
+    its points; level: height (m) of the surface where the particle first touches it; paths: where heat flows between chunks of steps;
+    folding: contact of the particle with itself.
     """
 
     particle: DistributedParticle
     bodies: Bodies
     contact: Contact
     surface: CarriedSurface
-    body: shapes.Body
-    place: np.ndarray
     level: float
     paths: HeatPaths
     folding: Folding | None
@@ -57,6 +54,11 @@ class Domains:
     @property
     def target(self) -> Target:
         return self.bodies.target
+
+    @property
+    def whole_surface(self) -> CarriedSurface:
+        """The particle's surface with those of its cavities."""
+        return self.surface if self.folding is None else self.folding.surface
 
 
 def build_target(plan: Plan) -> Bodies:
@@ -122,7 +124,7 @@ def build_domains(
     paths = HeatPaths(
         particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
     )
-    return Domains(particle, bodies, contact, surface, body, place, level, paths, itself)
+    return Domains(particle, bodies, contact, surface, level, paths, itself)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:

@@ -31,6 +31,15 @@ class _OwnContact(Contact):
         return np.concatenate([[0], np.cumsum(kept)])[start], face[kept]
 
 
+def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSurface:
+    """The surface of a particle with those of its cavities. body: undeformed, about its centre, which is at place (3,) m."""
+    if body.inner is None:
+        return outer
+    hole, facing = body.inner
+    triangles = np.concatenate([body.triangles, facing + len(body.vertices)])
+    return CarriedSurface(body.points + place, np.concatenate([body.vertices, hole]) + place, triangles, body.spacing)
+
+
 class Folding:
     """Contact of all surfaces of a particle, cavities included, with each other and with themselves.
 
@@ -40,13 +49,9 @@ class Folding:
 
     def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):
         """body: undeformed, about its centre, which is at place (3,) m; surface: its outer one; stiffness N/m of a vertex."""
-        vertices, triangles = body.vertices, body.triangles
-        self.surface = surface
-        if body.inner is not None:
-            hole, facing = body.inner
-            vertices, triangles = np.concatenate([vertices, hole]), np.concatenate([triangles, facing + len(vertices)])
-            self.surface = CarriedSurface(body.points + place, vertices + place, triangles, body.spacing)
-        self.contact = _OwnContact(vertices, triangles, stiffness, body.spacing, friction)
+        self.surface = whole_surface(body, surface, place)
+        vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
+        self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)
         self._support = self.surface.support(np.arange(len(vertices)))
 
     def search(self, particle: DistributedParticle, time: float) -> None:

@@ -8,7 +8,6 @@ from ..geometry.extent import shape_measures
 from ..geometry.raycast import RaySurface
 from ..geometry.triangles import enclosed_volume
 from ..particle.carried_surface import CarriedSurface
-from ..particle.shapes import Body
 from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
 
@@ -16,18 +15,10 @@ FAR = 2.0  # spacings: a vertex of the surface so far from any point lies in a j
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
 
 
-def share_inside_itself(body: Body, place: np.ndarray, surface: CarriedSurface, x: np.ndarray) -> float:
-    """Share of a particle's points x (n,3) m that lie in another part of it: its surfaces surround their places more than once.
-
-    body: the undeformed particle about its centre, which was at place (3,) m; surface: its outer one; that of a cavity is carried here.
-    """
-    points, triangles = surface.positions(x), body.triangles
-    if body.inner is not None:
-        hole, facing = body.inner
-        carried = CarriedSurface(body.points + place, hole + place, facing, body.spacing)
-        triangles = np.concatenate([triangles, facing + len(points)])
-        points = np.concatenate([points, carried.positions(x)])
-    return float(np.mean(RaySurface(points, triangles).windings(x) > 1))
+def share_inside_itself(surface: CarriedSurface, x: np.ndarray) -> float:
+    """Share of a particle's points x (n,3) m that lie in another part of it: its surface, cavities included, surrounds their places
+    more than once."""
+    return float(np.mean(RaySurface(surface.positions(x), surface.triangles).windings(x) > 1))
 
 
 def crater_depth(surface: np.ndarray) -> float:

@@ -130,9 +130,8 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
     beyond = recorder.seen.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
-    domains = impact.domains
-    if domains.folding is not None:
-        share = share_inside_itself(domains.body, domains.place, domains.surface, impact.particle.x)
+    if impact.folding is not None:
+        share = share_inside_itself(impact.folding.surface, impact.particle.x)
         if share > INSIDE_ITSELF:
             beyond.append(
                 f"impact {number}: {share:.1%} of the particle's points lie in another part of it: its shape and strain are"

@@ -28,6 +28,7 @@ from coupler.geometry.points import morton
 from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.ending import EndCriterion
+from coupler.impact.folding import whole_surface
 from coupler.impact.summary import ImpactRecord
 from coupler.impact.verdict import efficiency_range
 from coupler.particle import compiled, frequency, shapes
@@ -327,8 +328,9 @@ def test_a_hollow_particle_keeps_its_cavity_when_it_is_meshed() -> None:
         points=SimpleNamespace(**{name: np.full(len(body.points), value) for name, value in state.items()}),
         carried=lambda: {"eps_p": np.zeros(len(body.points)), "T": np.full(len(body.points), 300.0)},
     )  # fmt: skip
-    surface = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
-    cloud = cloud_of(cast(Any, SimpleNamespace(particle=particle, body=body, surface=surface)))
+    outer = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
+    surface = whole_surface(body, outer, np.zeros(3))
+    cloud = cloud_of(cast(Any, SimpleNamespace(particle=particle, whole_surface=surface)))
     assert enclosed_volume(*cloud.surface) == pytest.approx(cloud.volume.sum(), rel=0.03)
     (splat,) = convert(cloud, 1.7 * cloud.spacing).bodies
     assert splat.report["failed"] == []
