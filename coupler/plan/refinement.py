@@ -18,22 +18,17 @@ LEAST_REDUCTION = 1.5  # of points, between two resolutions that are compared
 # Eca & Hoekstra (2014), J. Comput. Phys. 262, 104; they take the second also where the observed order lies outside ORDERS: that doubles
 # the errors here (docs/evidence/accuracy.md)
 SAFETY, SAFETY_UNCERTAIN = 1.25, 3.0
-ORDERS = np.linspace(
-    0.5, 2.0, 61
-)  # that an error is extrapolated with where the values have one of them; else one of ...
-FIXED_ORDERS = FORMAL_ORDER, _ = (
-    1.0,
-    2.0,
-)  # ... these, the first that of the particle's viscosity and of the contact's penalty
+# Orders that an error is extrapolated with where the values have one of them; else one of FIXED_ORDERS, the first that of the
+# particle's viscosity and of the contact's penalty
+ORDERS = np.linspace(0.5, 2.0, 61)
+FIXED_ORDERS = FORMAL_ORDER, _ = 1.0, 2.0
 # Median over the scenes of docs/tables/errors.csv of the error over the value (of temperatures: over their rise), at FORECAST_AT points
 FORECAST_AT = 1000
 FORECAST = {
     "flattening_ratio": 0.061, "flattening_ratio_total": 0.13, "crater_depth_m": 0.18, "splat_diameter_m": 0.038, "eps_p_mean": 0.17,
     "T_mean_K": 0.26, "rebound_velocity_m_s": 0.19,
 }  # fmt: skip
-TAIL_POINTS = (
-    2000  # points, of which twenty lie above the 99th percentile: fewer, and the error of that is not measured
-)
+TAIL_POINTS = 2000  # of which twenty lie above the 99th percentile: fewer, and the error of that is not measured
 SHAPE = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")  # what --accuracy is about
 LEAST, MOST = 300, 64000  # points that a choice may fall on
 

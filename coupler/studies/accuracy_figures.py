@@ -34,11 +34,13 @@ def preset_of(row: Mapping[str, str]) -> str:
 def order_of(rows: Rows, measure: str, T_0: float) -> str:
     """The fitted order in words, or the reason why there is none. T_0: K, of the last particle before its impact."""
     try:
-        fitted = fit.fit_order(*fit.resolutions(rows, measure, T_0))
+        order, low, high = fit.fit_order(*fit.resolutions(rows, measure, T_0))
     except ValueError:
         return f"fewer than {fit.FEWEST} resolutions, no order"
-    low, high = fitted.interval()
-    return f"order {fitted.order:.2g} ({low} to {high})" if fitted.is_determined else "order not determined"
+    below, above = ("below " if low <= fit.ORDERS[0] else ""), ("above " if high >= fit.ORDERS[-1] else "")
+    if below and above:
+        return "order not determined"
+    return f"order {order:.2g} ({below}{low:.2g} to {above}{high:.2g})"
 
 
 def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Path]:

@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri  # the quantile of Fisher's distribution
 
 from ..measures import measure as record
-from ..plan.refinement import error, line
+from ..plan.refinement import ORDERS, error, line
 from .ladder import finished
 
-ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: the schemes converge no faster
 FEWEST = 4  # resolutions of an order: one more than its fit has unknowns
 PERCENT_AT_LEAST = 1e-3  # errors are drawn no lower, in percent: a log axis has no zero
 Row = Mapping[str, str]
@@ -75,33 +73,12 @@ def errors_of_ladder(rows: Sequence[Row], measure: str) -> list[tuple[Row, float
     return found
 
 
-@dataclass(frozen=True)
-class OrderFit:
-    """order: the best; low, high: the 95 % interval, which ends where the orders tried end; at_bound: whether the interval reaches
-    an end of the orders tried (low, high)."""
-
-    order: float
-    low: float
-    high: float
-    at_bound: tuple[bool, bool]
-
-    @property
-    def is_determined(self) -> bool:
-        return not all(self.at_bound)
-
-    def interval(self) -> tuple[str, str]:
-        """The ends of the interval in words: "0.5", or "below 0.5" at the least order tried."""
-        low, high = f"{self.low:.2g}", f"{self.high:.2g}"
-        return f"below {low}" if self.at_bound[0] else low, f"above {high}" if self.at_bound[1] else high
-
-
-def fit_order(h: NDArray, values: NDArray, orders: NDArray = ORDERS) -> OrderFit:
-    """Fit value = v + a h^p by least squares, p among `orders` (q,). h (k,): the spacing in any unit, values (k,). The interval holds
-    the orders that an F test at 95 % does not tell from the best. Raises ValueError for fewer than FEWEST resolutions."""
+def fit_order(h: NDArray, values: NDArray) -> tuple[float, float, float]:
+    """Fit value = v + a h^p by least squares, p among ORDERS. h (k,): the spacing in any unit, values (k,). Returns the best order, and
+    the least and the greatest that an F test at 95 % does not tell from it. Raises ValueError for fewer than FEWEST resolutions."""
     if len(h) < FEWEST:
         raise ValueError(f"an order needs at least {FEWEST} resolutions, not {len(h)}")
-    squares = np.array([float(np.sum(line(h, values, p)[2] ** 2)) for p in orders])
+    squares = np.array([float(np.sum(line(h, values, p)[2] ** 2)) for p in ORDERS])
     best, free = int(squares.argmin()), len(h) - 3
-    same = orders[squares <= squares[best] * (1.0 + fdtri(1, free, 0.95) / free)]
-    low, high = float(same.min()), float(same.max())
-    return OrderFit(float(orders[best]), low, high, (low <= orders[0], high >= orders[-1]))
+    same = ORDERS[squares <= squares[best] * (1.0 + fdtri(1, free, 0.95) / free)]
+    return float(ORDERS[best]), float(same.min()), float(same.max())
