@@ -7,7 +7,7 @@ from functools import cached_property
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
-from ..scene.effects import NAMES, WHOLE, Switches
+from ..scene.effects import NAMES, WHOLE
 from .cost import STRAIN_OF_FLOW
 
 GRADIENTS = "gradient_hardening"  # a choice of the model: unless it is named, only with bonds by exposure, whose verdicts depend on it
@@ -142,21 +142,6 @@ class Decision:
     value: float
     on: bool
     why: str
-
-
-@dataclass(frozen=True)
-class Effects(Switches):
-    """The effects of a run."""
-
-    @property
-    def switches(self) -> dict[str, bool]:
-        """Name -> whether it takes part, as `constitutive.law_record` wants it."""
-        return {name: vars(self)[name] for name in NAMES}
-
-    @property
-    def active(self) -> list[str]:
-        """Names of the effects that take part."""
-        return [name for name, on in self.switches.items() if on]
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:

@@ -9,9 +9,10 @@ import numpy as np
 from ..geometry.solid import Solid
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
+from ..scene.effects import Effects
 from ..scene.tables import Face
 from .batches import Batch, Landing, batches_of
-from .effects import Decision, Effects
+from .effects import Decision
 
 
 @dataclass(frozen=True, kw_only=True)

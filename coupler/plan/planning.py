@@ -10,11 +10,12 @@ from ..geometry.tetrahedra import COARSEST
 from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, pair_formula
 from ..physics.materials import Material
+from ..scene.effects import Effects
 from ..scene.tables import Particle
 from . import cost as estimates
 from . import effects
 from .batches import batches_of
-from .effects import Effects, Situation
+from .effects import Situation
 from .gas import describe as describe_gas
 from .model import ImpactPlan, Plan, SolidPlan, TargetPlan
 from .reading import Scene

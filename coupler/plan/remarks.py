@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 from .. import units
 from ..physics.materials import Material, fitted_at
+from ..scene.effects import Effects
 from . import cost, effects
 from .cost import CHUNK
-from .effects import Effects
 from .model import ImpactPlan
 from .reading import Scene
 

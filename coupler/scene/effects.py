@@ -7,7 +7,7 @@ from .. import units
 
 
 @dataclass(frozen=True)
-class Switches:
+class Effects:
     """Which effects take part in a run; a scene asks for them by these names."""
 
     thermal_softening: bool
@@ -28,8 +28,18 @@ class Switches:
     interface_conduction: bool
     cooling: bool
 
+    @property
+    def switches(self) -> dict[str, bool]:
+        """Name -> whether it takes part, as `constitutive.law_record` wants it."""
+        return {name: vars(self)[name] for name in NAMES}
 
-NAMES = tuple(field.name for field in fields(Switches))
+    @property
+    def active(self) -> list[str]:
+        """Names of the effects that take part."""
+        return [name for name, on in self.switches.items() if on]
+
+
+NAMES = tuple(field.name for field in fields(Effects))
 WHOLE = ("auto", "all", "none")
 
 
