@@ -12,7 +12,7 @@ import resource
 import stat
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -175,6 +175,18 @@ def check_nesting(data: object) -> None:
             return
         level = below
     raise ValueError(_TOO_DEEP)
+
+
+def leaves(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
+    """The keys of nested dicts, such as "particle[2].velocity", and their values; a list of one table is as that table."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from leaves(value, f"{above}{name}.")
+        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            for number, item in enumerate(value, 1):
+                yield from leaves(item, f"{above}{name}{f'[{number}]' if len(value) > 1 else ''}.")
+        else:
+            yield above + name, value
 
 
 def _no_constant(name: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..errors import StoreError
+from ..files.inputs import leaves
 from ..files.outputs import write_text
 from ..files.result import Result
 from ..measures import BALANCE
@@ -39,7 +40,7 @@ def names_of(results: Sequence[Result]) -> list[str]:
 
 def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
     """Keys of the scenes, dotted, that are not the same in all runs, with what each run has ("" if nothing)."""
-    scenes = [_flat(parts.scene_of(result)) for result in results]
+    scenes = [{key: _text(value) for key, value in leaves(parts.scene_of(result))} for result in results]
     keys = dict.fromkeys(key for scene in scenes for key in scene)
     entries = [(key, [scene.get(key, "") for scene in scenes]) for key in keys]
     return [(key, values) for key, values in entries if key != "name" and len(set(values)) > 1]
@@ -177,15 +178,5 @@ def _change(before: object, after: object, *errors: float | None) -> str:
     return f"{text}, within the errors" if is_within else text
 
 
-def _flat(table: Mapping[str, object], above: str = "") -> dict[str, str]:
-    """A scene's keys, dotted, and their values as text; a particle's keys are named alike whether one or several."""
-    values: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            values |= _flat(value, f"{above}{key}.")
-        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            for number, item in enumerate(value):
-                values |= _flat(item, f"{above}{key}{f'[{number + 1}]' if len(value) > 1 else ''}.")
-        else:
-            values[above + key] = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return values
+def _text(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -2,7 +2,7 @@
 
 import contextlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import units
 from ..errors import StoreError
-from ..files.inputs import read_toml, reading
+from ..files.inputs import leaves, read_toml, reading
 from ..files.result import Result
 from ..measures import CONVERGING
 from ..plan.record import read_plan
@@ -90,19 +90,17 @@ def scene_file(folder: Path, name: str) -> Path:
     return beside if beside.is_file() else folder / name / "scene.toml"
 
 
-def scene_numbers(value: object, key: str = "") -> Iterator[tuple[str, float, str]]:
+def scene_numbers(scene: Mapping[str, object]) -> Iterator[tuple[str, float, str]]:
     """The numbers of a scene: key, such as "contact.friction", "particle[2].velocity" or "particle.offset[1]", value (SI) and unit."""
-    if isinstance(value, dict):
-        for name, item in value.items():
-            yield from scene_numbers(item, f"{key}.{name}" if key else name)
-    elif isinstance(value, list):
-        for number, item in enumerate(value, 1):
-            yield from scene_numbers(item, f"{key}[{number}]")
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        yield key, float(value), ""
-    elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S+)", value)):
-        with contextlib.suppress(ValueError, LookupError):
-            yield key, units.parse(value, units.dimension_of(match[1])), match[1]
+    for key, leaf in leaves(scene):
+        several = isinstance(leaf, list)
+        for number, value in enumerate(leaf if isinstance(leaf, list) else [leaf], 1):
+            name = f"{key}[{number}]" if several else key
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                yield name, float(value), ""
+            elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S+)", value)):
+                with contextlib.suppress(ValueError, LookupError):
+                    yield name, units.parse(value, units.dimension_of(match[1])), match[1]
 
 
 def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
