@@ -25,9 +25,8 @@ from ..plan.reading import Scene
 from ..plan.refinement import at_points, error, has_error
 
 FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
-Compute = Callable[
-    [Scene, Path, float, Mapping[str, float], int], None
-]  # scene, folder, contact stiffness, numerics, threads
+# of scene, folder, contact stiffness, numerics, threads
+Compute = Callable[[Scene, Path, float, Mapping[str, float], int], None]
 
 
 @dataclass
@@ -46,9 +45,8 @@ class Companions:
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
             script = sys.modules["__main__"]
-            sys.modules["__main__"] = ModuleType(
-                "__main__"
-            )  # else the process runs a script without a main guard again
+            # else the process runs a script without a main guard again
+            sys.modules["__main__"] = ModuleType("__main__")
             try:
                 with without_interrupts():
                     process.start()

@@ -25,9 +25,7 @@ from .detaching import held_at_rest, release_time, without_detached
 from .pause import pause
 
 REST = 2.25  # cuts round an impact in which equilibrium is found after it
-SHELLS = (
-    8  # of the numbering within REST: following a curve in each makes a step of the elements a quarter faster or more
-)
+SHELLS = 8  # of the numbering within REST: a curve in each makes a step of the elements a quarter faster or more
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 

@@ -29,9 +29,8 @@ from .detaching import held_at_rest
 
 COOLER = 0.25  # K: makes some 2 MPa
 AT_AMBIENT = 1.0  # K: the most that the closing stage leaves an element from ambient
-COOLINGS = (
-    8  # in the closing stage at most: what flows in the first warms by some 40 K, in the second by less than AT_AMBIENT
-)
+# In the closing stage at most: what flows in the first warms by some 40 K, in the second by less than AT_AMBIENT
+COOLINGS = 8
 _EXACT = 1e-6  # K: to which heat is taken away
 
 

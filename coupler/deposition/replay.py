@@ -33,11 +33,8 @@ class BatchReplay:
 
     def __init__(self, before: Bodies, after: Bodies):
         """before, after: the bodies before and after the batch."""
-        self._points, self._cells, self._fields = (
-            before.target.nodes.x.copy(),
-            before.target.mesh.conn,
-            cell_fields(before),
-        )
+        self._points, self._cells = before.target.nodes.x.copy(), before.target.mesh.conn
+        self._fields = cell_fields(before)
         self._x_after, self._cells_after = after.target.nodes.x.copy(), after.target.mesh.conn
         self._fields_after = cell_fields(after)
         self._impacts: list[_Written] = []

@@ -29,9 +29,7 @@ _TYPES = {
 _CUT_OFF = "it is damaged or cut off: write it again"
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
-Column = tuple[
-    str, str, str
-]  # of an element of PLY: name, type of its values, type of their number or "" for one value
+Column = tuple[str, str, str]  # of an element of PLY: name, type of its values, type of their number or "" for one
 
 
 def read_surface(path: Path) -> Surface:

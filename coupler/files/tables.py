@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+# none of these patterns takes more than linear time in a line of any length
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_UNIT = re.compile(
-    r"[\[(]([^][()]*)[])]$"
-)  # none of these patterns takes more than linear time in a line of any length
+_UNIT = re.compile(r"[\[(]([^][()]*)[])]$")
 _COMMENT = ("#", "%", "!", "//")
 _LONGEST = 100_000  # characters of a line
 _COUNTED = 10  # rows from which on a column that counts them is read as their number

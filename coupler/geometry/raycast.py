@@ -56,9 +56,8 @@ class RaySurface:
 
     def windings(self, x: NDArray) -> NDArray[np.int64]:
         """Winding number of the closed surface about points x (k,3) m: 0 outside, 1 inside, 2 where the surface overlaps itself."""
-        aside = (
-            1e-3 * self.unit * np.array([0.731, 1.237])
-        )  # no line then passes through an edge of a symmetric surface
+        # no line then passes through an edge of a symmetric surface
+        aside = 1e-3 * self.unit * np.array([0.731, 1.237])
         line, height, triangle = self.on_verticals(*(x[:, :2] + aside).T)
         above = height > x[line, 2]
         return np.bincount(line[above], self._upwards[triangle[above]], len(x)).astype(np.int64)

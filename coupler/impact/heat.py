@@ -82,9 +82,8 @@ class HeatPaths:
         area = vertex_areas(skin, surface.triangles[touching[surface.triangles].any(axis=1)])[rows]
         T_a, T_b = surface.values(particle.points.T)[rows], target.elements.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
-        deep_b = (
-            0.75 * target.elements.volume[elements] / areas(target.nodes.x, target.mesh.facets[facets])
-        )  # of a tetrahedron's centre
+        area_b = areas(target.nodes.x, target.mesh.facets[facets])
+        deep_b = 0.75 * target.elements.volume[elements] / area_b  # of a tetrahedron's centre
         a, b = particle.law[0], target.laws[target.law_of[elements]]
         resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
         C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing

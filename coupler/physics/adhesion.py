@@ -20,10 +20,7 @@ EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that brings metal through a crack, 
 # net stress of a ligament between deep cracks, over its flow stress (Prandtl)
 CONSTRAINT = (2.0 + math.pi) / math.sqrt(3.0)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
-REFERENCE, EXPONENT = (
-    25e-6,
-    -0.18,
-)  # m: diameter of the formula's particles; power of the critical velocity in the diameter
+REFERENCE, EXPONENT = 25e-6, -0.18  # diameter, m, of the formula's particles; power of the diameter
 # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
 PARTICLE_BOND_STIFFNESS = 1.0
 

@@ -25,9 +25,7 @@ MANY = 10  # particles from which on that is done
 CAP = 3.0  # heights over velocity that an impact may take, or what is longer of ...
 SLIDES = 1.5  # ... heights over the velocity towards the target: beyond 60 degrees that is more
 STOPS = 2.0  # ... and times to stop: in the first the particle stops, in the second it rebounds
-ON_SPLATS = (
-    4.0  # times that, where splats lie below: those that overhang bend slowly, particles slide down their flanks
-)
+ON_SPLATS = 4.0  # times that, where splats lie below: overhanging ones bend slowly, particles slide down their flanks
 HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py --fit) of sums over particle and target, of `loads` w. (Time to rest) v / height: a w^b of each, times

@@ -16,9 +16,8 @@ from .gas import T_AMBIENT, Flow, Gas, Piece, State
 
 NEAR_MELTING = 0.9  # of the melting point, K over K
 Numbers = float | NDArray[np.float64]
-Drag = Callable[
-    [Numbers, Numbers, Numbers, float], NDArray[np.float64]
-]  # (Re, M, T_particle / T_gas, gamma) -> coefficient
+# (Re, M, T_particle / T_gas, gamma) -> coefficient
+Drag = Callable[[Numbers, Numbers, Numbers, float], NDArray[np.float64]]
 
 
 def henderson(Re: Numbers, M: Numbers, theta: Numbers, gamma: float) -> NDArray[np.float64]:
