@@ -85,7 +85,7 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     row: dict[str, Any] = dict(zip(COLUMNS, (name, kind, len(cloud.x), ratio), strict=False))
     before = spent()
     try:
-        splat = convert(cloud, ratio * cloud.spacing, time_limit=180.0)
+        splat = convert(cloud, ratio * cloud.spacing)
     except SplatError as problem:
         return row | {"result": f"failed: {problem}"[:400], "cpu_s": spent() - before}
     row["cpu_s"] = spent() - before

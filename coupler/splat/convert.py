@@ -19,11 +19,11 @@ LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
 MIN_TETS = 40  # of a fragment: its elements are made small enough for about that number
 
 
-def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit: float = 120.0) -> Splat:
+def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
     method: "auto" takes the carried surface where there is one, else, or where that cannot be filled, the density of
-    the points; the others force one source. time_limit: s, of gmsh in one attempt.
+    the points; the others force one source.
     Raises SplatError for a cloud that cannot be meshed, or when every strategy has failed.
     """
     if method not in METHODS:
@@ -45,7 +45,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
     try:
         parts = separate_bodies(cloud, element_size, method)
         sorting = clock.perf_counter() - start
-        bodies = [mesh_body(shape, index, element_size, method, time_limit) for index, shape in parts]
+        bodies = [mesh_body(shape, index, element_size, method) for index, shape in parts]
     except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
         raise SplatError(
             f"the meshing of this cloud fails ({type(problem).__name__}: {problem}): try another element size, or check the points"
@@ -99,13 +99,13 @@ def _size_of(cloud: Cloud, element_size: float) -> float:
     return min(element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
 
 
-def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str, time_limit: float) -> Body:
+def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str) -> Body:
     """Mesh one body, the points `index` of the cloud. Raises SplatError where every strategy fails."""
     cloud, failed = shape.cloud, []
     seconds: dict[str, float] = {}
     for strategy in strategies(method, cloud.surface is not None):
         try:
-            points, tets, report = build_mesh(strategy, shape, _size_of(cloud, element_size), seconds, time_limit)
+            points, tets, report = build_mesh(strategy, shape, _size_of(cloud, element_size), seconds)
         except SplatError as problem:
             failed.append(f"{strategy}: {problem}")
             continue

@@ -20,6 +20,7 @@ from . import quality, surface
 from .cloud import Cloud, Report
 
 T = TypeVar("T")
+TIME_LIMIT = 120.0  # s, of gmsh in one attempt
 MIN_GAMMA = 0.05
 MIN_STEP_LENGTH = 0.05  # of an element size, of the worst element; regular tetrahedra have about 0.4
 MAX_VOLUME_ERROR = 0.01
@@ -140,9 +141,9 @@ def _cell_size(x: np.ndarray, h: float) -> float:
 
 
 def build_mesh(
-    strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float], time_limit: float
+    strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float]
 ) -> tuple[np.ndarray, np.ndarray, Report]:
-    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements; time_limit: s, of gmsh.
+    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements.
 
     The wall time of each stage is added to `seconds`. Raises SplatError where a stage fails or the mesh misses a limit.
     """
@@ -168,7 +169,7 @@ def build_mesh(
     for shell in shells:
         check_solid(*shell)
     algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
-    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm), time_limit))
+    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm), TIME_LIMIT))
     report |= check_mesh(points, tets, solid, size)
     return points, tets, report
 
