@@ -21,7 +21,6 @@ from ..particle.heat import PointConduction
 from ..particle.inertia import ENOUGH
 from ..particle.particle import Numerics, Particle
 from ..physics.constitutive import law_record
-from ..physics.materials import Material
 from ..plan.planning import Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
@@ -115,7 +114,8 @@ def build_domains(
     softer = min(impact_plan.material.K, float(bodies.target.laws["K"].min()))
     k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
     points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
-    share = _heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature)
+    own, other = impact_plan.material.effusivity(impact_plan.temperature), t.material.effusivity(t.temperature)
+    share = own / (own + other)  # of the heat of friction, as for two half-spaces in contact
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
     on, inside = plan.effects, None
     if on.particle_conduction:
@@ -157,9 +157,3 @@ def build_particle(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
         comm=ranks.sph_comm, log=log_file, strain=p.initial_strain,
     )  # fmt: skip
-
-
-def _heat_share(a: Material, Ta: float, b: Material, Tb: float) -> float:
-    """Share of friction heat that goes to body a: by effusivity, as for two half-spaces in contact."""
-    ea, eb = a.effusivity(Ta), b.effusivity(Tb)
-    return ea / (ea + eb)

@@ -8,11 +8,7 @@ from types import FrameType
 
 
 class Stopped(KeyboardInterrupt):
-    """The run was asked to stop, and has written a checkpoint. signal: the number of the signal that asked."""
-
-    def __init__(self, number: int = signal.SIGINT):
-        super().__init__(number)
-        self.signal = number
+    """The run was asked to stop, and has written a checkpoint. Its argument: the number of the signal that asked."""
 
 
 class StopSignals:

@@ -41,11 +41,7 @@ class Extreme:
 def _percentile(values: np.ndarray) -> float:
     """99th percentile of the values above zero, 0 without any."""
     above = values[values > 0.0]
-    if not len(above):
-        return 0.0
-    place = 0.99 * (len(above) - 1)
-    k = np.array([place, min(place + 1.0, len(above) - 1)], int)
-    return float(np.interp(place, k, np.partition(above, k)[k]))  # a quarter of the time of numpy.percentile
+    return float(np.percentile(above, 99)) if len(above) else 0.0
 
 
 @dataclass

@@ -17,11 +17,10 @@ SAMPLES = 60  # in each body
 
 @dataclass(frozen=True)
 class Profile:
-    """Values along the line at one time (s). depth (k,) m below the undeformed surface, increasing. body: "splat" or "substrate".
-    values: name -> (k, ...) in SI units, stress in the order xx yy zz xy yz xz."""
+    """Values along the line in one body at one time (s). depth (k,) m below the undeformed surface, increasing. values: name ->
+    (k, ...) in SI units, stress in the order xx yy zz xy yz xz."""
 
     time: float
-    body: str
     depth: NDArray
     values: dict[str, NDArray]
 
@@ -37,16 +36,16 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
     def on_axis(z: NDArray) -> NDArray:
         return np.column_stack([np.full_like(z, x), np.full_like(z, y), z])
 
-    def profile(fields: Fields, body: str, z: NDArray, nodes: NDArray, weight: NDArray) -> Profile:
+    def profile(fields: Fields, z: NDArray, nodes: NDArray, weight: NDArray) -> Profile:
         known = {name: at_nodes(fields, name)[nodes] for name in names if name in fields.data}
         values = {name: np.einsum("kj,kj...->k...", weight, at) for name, at in known.items()}
-        return Profile(fields.time, body, level - z, values)
+        return Profile(fields.time, level - z, values)
 
     lines = []
     crossings = on_vertical(surface.points, surface.cells, x, y)
     for low, high in zip(crossings[0::2], crossings[1::2], strict=False):
         z = np.linspace(high, low, SAMPLES)
-        lines.append(profile(particle, "splat", z, *from_points(particle.points, on_axis(z), at.void)))
+        lines.append(profile(particle, z, *from_points(particle.points, on_axis(z), at.void)))
     lines.reverse()  # from the top down
 
     # Elements grow with depth, and so do the distances of the samples.
@@ -54,7 +53,7 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
     z = top - (top - level + reach) * np.linspace(0, 1, 4 * SAMPLES) ** 1.5
     owner, share = in_tets(target.points, target.cells, on_axis(z))
     inside = owner >= 0
-    lines.append(profile(target, "substrate", z[inside], target.cells[owner[inside]], share[inside]))
+    lines.append(profile(target, z[inside], target.cells[owner[inside]], share[inside]))
     return [line for line in lines if len(line.depth)]
 
 

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from collections.abc import Mapping
 from typing import get_args
 
@@ -84,8 +85,7 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
         return f"{field}: missing; add for example {loc[-1]} = {json.dumps(example)}"
     start = f"{field} = {shown(entry['input'])}"
     if kind == "literal_error":
-        info = model.model_fields[str(loc[-1])]
-        choices = _choices(info.annotation)
+        choices = re.findall("'(.*?)'", entry["ctx"]["expected"])
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
@@ -110,14 +110,6 @@ def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
     annotation = SceneData.model_fields[names[str(loc[0])]].annotation
     inner = (get_args(annotation) or (annotation,))[0]
     return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else SceneData
-
-
-def _choices(annotation: object) -> list[str]:
-    """The values of a Literal, or of a union with one in it."""
-    choices: list[str] = []
-    for arg in get_args(annotation):
-        choices += _choices(arg) if get_args(arg) else [arg] if isinstance(arg, str) else []
-    return choices
 
 
 def shown(value: object) -> str:

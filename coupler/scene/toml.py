@@ -29,23 +29,9 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
     lines += [f'strength = "{scene.strength}"'] if scene.strength else []
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
-    tables: list[tuple[str, Section | None]] = [(head, particle) for particle in scene.particles]
-    for section in (
-        "coating",
-        "gas",
-        "spray",
-        "substrate",
-        "contact",
-        "adhesion",
-        "splat",
-        "resolution",
-        "end",
-        "output",
-    ):
-        tables.append((f"[{section}]", dict(scene)[section]))
+    tables: list[tuple[str, Section]] = [(head, particle) for particle in scene.particles]
+    tables += [(f"[{name}]", table) for name, table in scene if isinstance(table, Section)]
     for head, table in tables:
-        if table is None:
-            continue
         lines += ["", head]
         if head == "[gas]":
             lines.append("# has an effect again once the particle's velocity and temperature are deleted")

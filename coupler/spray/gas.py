@@ -175,11 +175,8 @@ class Flow:
     @cached_property
     def least_pressure(self) -> float:
         """The total pressure, Pa, at which a normal shock would stand right in the exit."""
-        return self.ambient * pressure_ratio(self.exit_mach, self.gas.gamma) / self._shock[1]
-
-    @cached_property
-    def _shock(self) -> tuple[float, float]:
-        return normal_shock(self.exit_mach, self.gas.gamma)
+        g = self.gas.gamma
+        return self.ambient * pressure_ratio(self.exit_mach, g) / normal_shock(self.exit_mach, g)[1]
 
     @cached_property
     def mass_flow(self) -> float:

@@ -59,13 +59,8 @@ def machine() -> str:
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """The entries of the cache by machine, "factor" and "date" of each; none if the file is missing or damaged."""
-    try:
-        known = read_json_object(path)
-    except StoreError:
-        return {}
-    low, high = FACTORS
-    entries = {
-        name: (entry.get("factor"), entry.get("date")) for name, entry in known.items() if isinstance(entry, dict)
-    }
-    sound = ((name, factor, day) for name, (factor, day) in entries.items() if isinstance(factor, float))
-    return {name: {"factor": f, "date": str(day or "an unknown day")} for name, f, day in sound if low <= f <= high}
+    with suppress(StoreError, LookupError, TypeError, ValueError):
+        known: dict[str, Any] = read_json_object(path)
+        timed = ((name, float(entry["factor"]), str(entry["date"])) for name, entry in known.items())
+        return {name: {"factor": f, "date": day} for name, f, day in timed if FACTORS[0] <= f <= FACTORS[1]}
+    return {}
