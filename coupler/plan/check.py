@@ -22,6 +22,11 @@ _HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength 
 Problem = tuple[tuple[str, ...], str]  # the fields it looked at, the message
 
 
+def _wrong(field: str, value: float, unit: str, text: str, *looked: str) -> Problem:
+    """A problem of the value (SI) of a field. looked: the other fields that it looked at."""
+    return (field, *looked), f"{field} = {text_of(value, unit)}: {text}"
+
+
 def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set[str]) -> Iterator[Problem]:
     """Problems that only several fields together have, each with the fields it looked at."""
     d = Derived(scene)
@@ -36,20 +41,16 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
                     f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}",
                 )
         elif body.temperature > _HOTTEST * material.T_m:
-            yield (
-                (f"{where}.material", f"{where}.temperature"),
-                f"{where}.temperature = {text_of(body.temperature, 'K')}: must stay below {_HOTTEST:g} of the"
-                f" melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K",
+            text = (
+                f"must stay below {_HOTTEST:g} of the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
             )
+            yield _wrong(f"{where}.temperature", body.temperature, "K", text, f"{where}.material")
     known = [metal for _, body in bodies if (metal := catalogue.get(body.material)) is not None]
     if d.ambient is not None and known:
         metal = min(known, key=lambda metal: metal.T_m)
         if d.ambient > _HOTTEST * metal.T_m:
-            yield (
-                ("end.ambient",),
-                f"end.ambient = {text_of(d.ambient, 'K')}: must stay below {_HOTTEST * metal.T_m:.0f} K, {_HOTTEST:g} of the melting"
-                f" point of {metal.name}",
-            )
+            text = f"must stay below {_HOTTEST * metal.T_m:.0f} K, {_HOTTEST:g} of the melting point of {metal.name}"
+            yield _wrong("end.ambient", d.ambient, "K", text)
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)
@@ -70,11 +71,10 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield ("output.at", "output.every"), 'output.every: of no use with output.at = "ends"; leave one of them out'
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
     if records > _MOST_RECORDS:
-        yield (
-            ("output.every", "end.time", *_fields(scene, "diameter", "velocity", "shape", "tilt")),
-            f"output.every = {text_of(d.output_every_of(scene.particle), 'ns')}: would write {records:.3g} steps;"
-            f" at most {_MOST_RECORDS}, so at least {units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, 'ns')}",
-        )
+        least = units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, "ns")
+        text = f"would write {records:.3g} steps; at most {_MOST_RECORDS}, so at least {least}"
+        looked = "end.time", *_fields(scene, "diameter", "velocity", "shape", "tilt")
+        yield _wrong("output.every", d.output_every_of(scene.particle), "ns", text, *looked)
 
 
 def _hardness(where: str, particle: Particle, material: Material | None) -> Iterator[Problem]:
@@ -108,19 +108,14 @@ def _room(d: Derived) -> Iterator[Problem]:
     for name, extent, needs in (("diameter", substrate.diameter, across), ("height", substrate.height, deep)):
         least, particle = max(needs, key=lambda need: need[0])
         if extent < least * (1 - 1e-9):
-            yield (
-                (*_fields(scene, *_EXTENT), f"substrate.{name}"),
-                f"substrate.{name} = {text_of(extent, 'um')}: too small for {_size(particle)} and its crater;"
-                f" at least {units.rounded(least, 'um')} is needed",
-            )
+            text = f"too small for {_size(particle)} and its crater; at least {units.rounded(least, 'um')} is needed"
+            yield _wrong(f"substrate.{name}", extent, "um", text, *_fields(scene, *_EXTENT))
     widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
     least = _LEAST_WINDOW * max(widest.diameter, widest.width)
     if substrate.window is not None and substrate.window < least * (1 - 1e-9):
-        yield (
-            (*_fields(scene, *_EXTENT), "substrate.window"),
-            f"substrate.window = {text_of(substrate.window, 'um')}: holds less than what {_size(widest)} covers;"
-            f" at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use",
-        )
+        needed = f"at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use"
+        text = f"holds less than what {_size(widest)} covers; {needed}"
+        yield _wrong("substrate.window", substrate.window, "um", text, *_fields(scene, *_EXTENT))
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         D, gap = particle.diameter, d.gap_of(particle)
         away = math.hypot(*particle.offset)
@@ -136,19 +131,18 @@ def _room(d: Derived) -> Iterator[Problem]:
         drift = gap * math.tan(particle.angle)  # along x, while the particle flies over the gap
         landing = math.hypot(particle.offset[0] + drift, particle.offset[1])
         if away <= room < landing:
-            yield (
-                (*(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle", "gap")), "substrate.diameter"),
-                f"{where}.gap = {text_of(gap, 'um')}: at {math.degrees(particle.angle):.3g} degrees the particle drifts"
-                f" {units.rounded(drift, 'um')} over the gap and lands {units.rounded(landing, 'um')} off the axis, over the"
-                f" target's edge; at most {units.rounded(max(room, 0.0), 'um')}: take a smaller gap or a wider target",
+            text = (
+                f"at {math.degrees(particle.angle):.3g} degrees the particle drifts {units.rounded(drift, 'um')} over the gap and lands"
+                f" {units.rounded(landing, 'um')} off the axis, over the target's edge; at most"
+                f" {units.rounded(max(room, 0.0), 'um')}: take a smaller gap or a wider target"
             )
+            looked = *(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle")), "substrate.diameter"
+            yield _wrong(f"{where}.gap", gap, "um", text, *looked)
         flight, limit = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
         if limit is not None and flight >= limit:
-            yield (
-                (f"{where}.gap", f"{where}.velocity", f"{where}.angle", "end.time"),
-                f"end.time = {text_of(limit, 'ns')}: shorter than the flight over the gap of {units.rounded(gap, 'um')}, which takes"
-                f" {units.rounded(flight, 'ns')}: {where} would not touch the target",
-            )
+            over = f"the gap of {units.rounded(gap, 'um')}, which takes {units.rounded(flight, 'ns')}"
+            text = f"shorter than the flight over {over}: {where} would not touch the target"
+            yield _wrong("end.time", limit, "ns", text, f"{where}.gap", f"{where}.velocity", f"{where}.angle")
 
 
 def _resolution(d: Derived) -> Iterator[Problem]:
@@ -179,11 +173,8 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
         if requested is not None and requested > coarsest:
             feature = "crater" if field == "resolution" else "splat"
-            yield (
-                (*_fields(scene, "diameter"), f"{field}.element_size"),
-                f"{field}.element_size = {text_of(requested, 'um')}: too coarse for the {feature} of {_size(smallest)};"
-                f" at most {units.rounded(coarsest, 'um')}",
-            )
+            text = f"too coarse for the {feature} of {_size(smallest)}; at most {units.rounded(coarsest, 'um')}"
+            yield _wrong(f"{field}.element_size", requested, "um", text, *_fields(scene, "diameter"))
     # while the last impact runs, all splats before it are elements
     splats = sum(map(d.splat_elements_of, scene.particles[:-1]))
     memory, there = estimates.memory(d.points, d.elements + splats), estimates.machine_memory()
@@ -253,9 +244,9 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
             continue
         least = stored_at_strength(strength, stiffness)
         if energy < least:
-            yield (
-                (f"adhesion.{prefix}energy", f"adhesion.{prefix}strength", "resolution.spacing", "preset"),
-                f"adhesion.{prefix}energy = {text_of(energy, 'J/m2')}: less than the {least:.3g} J/m2 that the springs of a bond"
-                f" hold at {text_of(strength, 'MPa')} with this spacing: give more energy, 0 for a brittle bond, less"
-                " strength, or a finer preset",
+            text = (
+                f"less than the {least:.3g} J/m2 that the springs of a bond hold at {text_of(strength, 'MPa')} with this spacing:"
+                " give more energy, 0 for a brittle bond, less strength, or a finer preset"
             )
+            looked = f"adhesion.{prefix}strength", "resolution.spacing", "preset"
+            yield _wrong(f"adhesion.{prefix}energy", energy, "J/m2", text, *looked)
