@@ -3,23 +3,26 @@
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 
 @contextlib.contextmanager
-def interrupted_by(*numbers: int) -> Iterator[None]:
-    """While in use, each of these signals raises KeyboardInterrupt with its number; in the main thread only, which has the signals."""
+def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
+    """While in use, these signals call the handler; in the main thread only, which has the signals."""
+    is_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, handler) for number in numbers if is_main}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def interrupted_by(*numbers: int) -> contextlib.AbstractContextManager[None]:
+    """Context in which each of these signals raises KeyboardInterrupt with its number."""
 
     def end(number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt(number)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, end) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    return handled(end, *numbers)

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.executors import executor
 from ..errors import ColdsprayError, WorkerError
 from ..impact.run import RunOptions
-from ..impact.stop import Stopped, StopSignals
+from ..impact.stop import Stopped, stop_signals
 from ..plan.batches import Batch
 from ..plan.forecast import forecast
 from ..plan.planning import Plan
@@ -83,7 +83,7 @@ def side_by_side(
     threads = max(options.threads // options.jobs, 1)
     for file in (stop, spare):
         file.unlink(missing_ok=True)
-    with StopSignals() as signals:
+    with stop_signals() as signals:
         try:
             for task, cut in found:
                 future = pool.submit(

@@ -21,7 +21,7 @@ from .exchange import Impact, ImpactState
 from .loop import advance_to_end
 from .recorder import Recorded, Recorder
 from .retry import Retry, next_retry
-from .stop import Stopped, StopSignals
+from .stop import Stopped, StopSignals, stop_signals
 from .summary import ImpactRecord, summarise
 from .verdict import is_tied
 
@@ -95,7 +95,7 @@ def run_impact(
     if resume_from is not None:
         retries, watch = list(resume_from.retries), _WallClock(resume_from.wall, resume_from.looped)
         options.progress.log(f"going on from {(before + resume_from.impact.time) * 1e9:.1f} ns")
-    with StopSignals() as signals:
+    with stop_signals() as signals:
         while True:
             state = resume_from.impact.bodies if resume_from is not None else bodies
             attempt = _Attempt(plan, i, restored_target(plan, state), store, before, options, retries, resume_from)

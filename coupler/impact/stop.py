@@ -1,10 +1,11 @@
 """Signals that ask a run to stop."""
 
 import signal
-import threading
-from collections.abc import Callable
-from signal import Handlers
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
+
+from ..core.signals import handled
 
 
 class Stopped(KeyboardInterrupt):
@@ -12,23 +13,20 @@ class Stopped(KeyboardInterrupt):
 
 
 class StopSignals:
-    """While in use, SIGINT and SIGTERM are noted and the chunk of steps is completed; a second one interrupts at once."""
+    """number: of the signal that has asked the run to stop, 0 so far; a second one interrupts at once."""
 
-    def __init__(self) -> None:
-        self.number = 0
-        self._before: dict[int, Callable[[int, FrameType | None], object] | int | Handlers | None] = {}
+    number = 0
 
-    def __enter__(self) -> "StopSignals":
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
+    def note(self, number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
         if self.number:
             raise KeyboardInterrupt
         self.number = number
 
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+
+@contextmanager
+def stop_signals() -> Iterator[StopSignals]:
+    """While in use, SIGINT and SIGTERM are noted and the chunk of steps is completed."""
+    signals = StopSignals()
+    with handled(signals.note, signal.SIGINT, signal.SIGTERM):
+        yield signals
