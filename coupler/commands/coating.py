@@ -6,18 +6,8 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
-from .arguments import (
-    Commands,
-    add_command,
-    add_force,
-    add_jobs,
-    at_least_one,
-    jobs_of,
-    path,
-    quantity,
-    teller,
-    working,
-)
+from . import arguments as options
+from .arguments import Commands
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -26,17 +16,17 @@ if TYPE_CHECKING:
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     text = "measure a coating: thickness, roughness, porosity, stress over depth"
-    option = add_command(commands, "coating", run, text)
-    option("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
-    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
-    option("--window", type=quantity("--window", "length"), metavar="L",
+    option = options.add_command(commands, "coating", run, text)
+    option("run", type=options.path, metavar="DIR", help="folder of a run of several impacts, finished or not")
+    option("--out", type=options.path, metavar="DIR", help="where the files go (default: DIR/coating)")
+    option("--window", type=options.quantity("--window", "length"), metavar="L",
            help='radius of the disc that is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
-    option("--section", type=quantity("--section", "length", positive=False), metavar="L",
+    option("--section", type=options.quantity("--section", "length", positive=False), metavar="L",
            help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
-    option("--seeds", type=at_least_one, default=0, metavar="N",
+    option("--seeds", type=options.at_least_one, default=0, metavar="N",
            help="first compute the coating with N other seeds, and give each measure its error from all (default: none)")  # fmt: skip
-    add_jobs(option, "runs at a time, each on one core")
-    add_force(option)
+    options.add_jobs(option, "runs at a time, each on one core")
+    options.add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,8 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
     if arguments.seeds:
         others = coating_seeds.other_seeds(Scene.from_text(result.scene_text, str(arguments.run)), arguments.seeds)
-        spread.compute(others, arguments.run / coating_seeds.FOLDER, jobs_of(arguments), teller(False))
-    with reading(arguments.run), working("measuring the coating") as progress:
+        spread.compute(others, arguments.run / coating_seeds.FOLDER, options.jobs_of(arguments), options.teller(False))
+    with reading(arguments.run), options.working("measuring the coating") as progress:
         splats = coating.read(result)
         measures = coating_seeds.measured(result, splats, arguments.window)
         coating_files.write_measures(folder, measures)

@@ -2,11 +2,13 @@
 
 import argparse
 import time
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..files.inputs import reading
+from ..errors import StoreError
+from ..files.inputs import read_text, reading
 from .arguments import Commands, add_command, add_force, path, seconds
 
 if TYPE_CHECKING:
@@ -110,9 +112,6 @@ def state(result: "Result") -> str:
 
 def _last_line(log: Path) -> str:
     """The last line of a log, "" if there is none."""
-    try:
-        with open(log, "rb") as file:
-            file.seek(max(log.stat().st_size - 4096, 0))
-            return file.read().decode("utf-8", "replace").strip().splitlines()[-1]
-    except (OSError, IndexError):
-        return ""
+    with suppress(StoreError):
+        return (read_text(log).strip().splitlines() or [""])[-1]
+    return ""

@@ -3,7 +3,6 @@
 Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and compared with the free memory.
 """
 
-import difflib
 import json
 import math
 import os
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from ..errors import StoreError
+from ..units import nearest
 
 T = TypeVar("T")
 SCENE_LIMIT = 1_000_000  # bytes of a TOML file
@@ -71,7 +71,7 @@ def similar(path: str | Path, is_folder: bool = False) -> str:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
         there = []
-    return "".join(f' (did you mean "{name}"?)' for name in difflib.get_close_matches(Path(path).name, there, 1))
+    return nearest(Path(path).name, there)
 
 
 def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:

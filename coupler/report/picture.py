@@ -119,13 +119,13 @@ def _most_cut(plan: Values, first: float) -> float:
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
     """Extent of a picture, um: particle, splats and jets of the target at all the given steps, and a margin. While a particle flies
-    away it keeps its size (`reach`)."""
+    away it keeps its size: it is shown up to FAR diameters above all that is raised."""
     ends, D = [], at.diameter
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
         points = target.points * MICRO
         raised = points[points[:, 2] > at.level + RAISED * D]
-        limit = reach(raised, at)
+        limit = float(max(raised[:, 2].max(initial=at.level), at.level) + FAR * D)
         is_away, skin = skin[:, 2].min() > limit - FAR * D, skin[skin[:, 2] < limit]
         splats = points[target.cells[target.data["body"] > 0].ravel(), 2] if "body" in target.data else points[:0, 2]
         places = np.concatenate([skin, raised, points[[int(np.argmax(points[:, 2]))]]])
@@ -136,11 +136,6 @@ def view(result: Result, steps: Iterable[int], at: Stage) -> View:
     middle, half = (low[0] + high[0]) / 2, max(1.5 * D, (high[0] - low[0]) / 2 + 0.4 * D)
     bottom = min(at.level - 0.9 * D, min(deepest for _, _, deepest in ends) - 0.3 * D)
     return float(middle - half), float(middle + half), float(bottom), float(max(high[2], at.level) + 0.15 * D)
-
-
-def reach(raised: NDArray, at: Stage) -> float:
-    """Height (um) up to which a picture shows a flying particle: FAR diameters above all that is raised, (m, 3) um."""
-    return float(max(raised[:, 2].max(initial=at.level), at.level) + FAR * at.diameter)
 
 
 def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS) -> Cut:
