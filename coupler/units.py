@@ -33,6 +33,9 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "heat transfer": ("1e4 W/(m2 K)", {"W/(m2 K)": "1", "W/m2K": "1", "W/(m^2 K)": "1"}),
     "expansion": ("13e-6 1/K", {"1/K": "1"}),
     "rate": ("1 1/s", {"1/s": "1"}),
+    "diffusivity": ("1e-4 m^2/s", {"m^2/s": "1", "m2/s": "1"}),
+    "diffusivity of cores": ("1e-24 m^4/s", {"m^4/s": "1", "m4/s": "1"}),
+    "activation energy": ("142 kJ/mol", {"J/mol": "1", "kJ/mol": "1e3"}),
     "surface energy": ("20 J/m2", {"J/m2": "1", "J/m^2": "1", "mJ/m2": "1e-3", "kJ/m2": "1e3"}),
 }
 _OFFSETS = dict.fromkeys(("degC", "C"), Fraction("273.15"))

@@ -7,6 +7,7 @@ stress by an increment of its own.
 """
 
 import time as clock
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from ..fe.heat import take_heat
 from ..fe.model import Elements
 from ..files.summary import Values
 from ..geometry.triangles import areas
-from ..physics.constitutive import heat_capacities
+from ..physics.constitutive import heat_capacities, pressures, yield_stresses
 from ..physics.materials import Material
+from ..physics.recovery import recovery_of
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.equilibrium import BALANCED, COOLED, Known, settle
@@ -31,6 +33,9 @@ COOLER = 0.25  # K: makes some 2 MPa
 AT_AMBIENT = 1.0  # K: the most that the closing stage leaves an element from ambient
 # In the closing stage at most: what flows in the first warms by some 40 K, in the second by less than AT_AMBIENT
 COOLINGS = 8
+STEPS_OF_RECOVERY = 40  # in the closing stage: twice as many change the strain that is left by 0.2 %
+_SOFTER = 0.01  # share of the plastic strain that recovers, beyond which equilibrium is found anew
+_AT_ONCE = 1e-18  # s: a step in which nothing moves
 _EXACT = 1e-6  # K: to which heat is taken away
 
 
@@ -46,10 +51,11 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
-    before = t.elements.T.copy()
-    cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
+    before, taken, film = t.elements.T.copy(), t.elements.eps_recovered.copy(), _film(bodies, plan.surface_heat)
+    cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, film, _recovery(plan, bodies))
     conducted = clock.perf_counter()
-    changed = t.mesh.reach_element[np.abs(t.elements.T - before) > COOLER]
+    softer = t.elements.eps_recovered - taken > _SOFTER * t.elements.eps_p
+    changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
     beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # all of a shell of the numbering has the same distance
     radius, known = max(radius, float(beyond)), Known()
     report: Values = {"balance_steps": _balance(bodies, kinetic_0, radius, known), **cooling}
@@ -70,6 +76,12 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
     bodies.separate(range(bodies.count))
     known = Known()
+    if plan.cooling_time > 0.0:
+        hot, recover = t.elements.T.copy(), _recovery(plan, bodies)
+        for step in range(STEPS_OF_RECOVERY):
+            t.elements.T[:] = hot + (step + 0.5) / STEPS_OF_RECOVERY * (ambient - hot)
+            recover(plan.cooling_time / STEPS_OF_RECOVERY)
+        t.elements.T[:] = hot
     _balance(bodies, kinetic_0, np.inf, known)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
@@ -77,13 +89,17 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
         "T_max_before_K": float(t.elements.T.max()),
         "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
     }
-    missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
-    missing *= t.laws["expansion"][t.law_of]
+    shared = _contraction(*came[0], ambient)
+    _contract(t, shared)
+    missing = np.array(
+        [
+            _missing_energy(*each, ambient, law, shared)
+            for each, law in zip(came, np.split(t.laws, len(came)), strict=True)
+        ]
+    )
+    missing = missing[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
     t.elements.heat[:] += missing
     t.balance.heat += float(missing.sum())
-    shrunk = 1.0 + _contraction(*came[0], ambient)
-    t.nodes.x[:] *= shrunk
-    t.rest_scale *= shrunk
     report: Values = {**before, "ambient_K": ambient, "detached": []}
     for number in range(1, COOLINGS + 1):
         _take_heat_away(t, ambient)
@@ -117,6 +133,35 @@ def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> V
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 
 
+def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
+    """A function that lets all elements recover for a time (s) at their temperatures, none where the plan leaves it out."""
+    if not plan.effects.recovery:
+        return lambda _: None
+    t = bodies.target
+    metals = [plan.target.material, *(plan.impacts[i - 1].material for i in bodies.impact[1:])]
+    rows_of = {
+        law: np.isin(t.law_of, [k for k, m in enumerate(metals) if recovery_of(m) is law])
+        for law in map(recovery_of, metals)
+    }
+
+    def yields(rows: np.ndarray) -> np.ndarray:
+        e = t.elements
+        return yield_stresses(t.laws, t.law_of[rows], e.eps_p[rows], e.T[rows], e.eps_gradient[rows])
+
+    def recover(time: float) -> None:
+        e = t.elements
+        for law, of_law in rows_of.items():
+            if law is None:
+                continue
+            rows = np.flatnonzero(of_law & (e.eps_p > 0.0))
+            before, left = yields(rows), law.after(e.eps_p[rows], e.T[rows], time)
+            e.eps_recovered[rows] += e.eps_p[rows] - left
+            e.eps_p[rows] = left
+            e.sigma_y[rows] *= yields(rows) / before
+
+    return recover
+
+
 def _take_heat_away(t: Target, ambient: float) -> None:
     """Set all elements to ambient, K, by taking the heat for it; more than once where c_p(T) bends on the way."""
     m, rho = len(t.elements.T), t.laws["rho"][t.law_of]
@@ -135,15 +180,36 @@ def _contraction(metal: Material, T: float, ambient: float) -> float:
     return alpha * (ambient - T)
 
 
-def _missing_energy(metal: Material, T: float, ambient: float) -> float:
-    """Energy (J/m3) that the equation of state needs beside the heat from T to ambient, K, to contract by `_contraction`.
+def _contract(t: Target, strain: float) -> None:
+    """Contract all bodies and what holds them by a linear strain as the substrate does: at once, with the energies at which the strain
+    changes no pressure, so that no metal flows on the way."""
+    t.nodes.x[:] *= 1.0 + strain
+    t.rest_scale *= 1.0 + strain
+    energy = (
+        np.array([_energy_of(law, strain) for law in np.split(t.laws, len(t.laws))])[t.law_of]
+        * t.laws["expansion"][t.law_of]
+        * t.mesh.V0
+    )
+    pending = t.elements.heat.copy()
+    t.elements.heat[:] = energy
+    t.balance.heat += float(energy.sum())
+    t.activate_all()
+    t.advance(_AT_ONCE, is_conducting=False)
+    t.rest()
+    t.elements.heat[:] += pending
 
-    p = ... + Gamma0 E: a free body expands in volume by Gamma0 E / K.
-    """
-    if metal.Gamma0 == 0.0:
-        return 0.0
-    heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T)
-    return 3.0 * metal.K / metal.Gamma0 * _contraction(metal, T, ambient) - heat
+
+def _energy_of(law: np.ndarray, strain: float) -> float:
+    """Energy (J/m3) at which a metal that is strained in all directions has the pressure that it had before; 0 without Gamma0."""
+    pressure = pressures(law, np.array([(1.0 + strain) ** 3]), np.zeros(1))[0]
+    return float(-pressure / law["Gamma0"][0]) if law["Gamma0"][0] else 0.0
+
+
+def _missing_energy(metal: Material, T: float, ambient: float, law: np.ndarray, shared: float) -> float:
+    """Energy (J/m3) that the equation of state needs beside the heat from T to ambient, K, to contract by `_contraction`, of which the
+    strain `shared` has its energy."""
+    heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T) if metal.Gamma0 else 0.0
+    return _energy_of(law, _contraction(metal, T, ambient)) - _energy_of(law, shared) - heat
 
 
 def _links(bodies: Bodies, size: float) -> list[Links]:

@@ -8,7 +8,7 @@ one lies above the mean of its nodes flows into them, what changes at nodes it g
 to rounding: what the linear solver leaves of the whole of it is spread over all nodes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,11 +40,13 @@ class Film:
 
 
 def cool(
-    target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None
+    target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None,
+    recover: Callable[[float], None] = lambda _: None,
 ) -> dict[str, float]:  # fmt: skip
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
-    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. Returns steps, hottest and mean temperatures before
+    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. recover(s): called with the time of
+    each half of a step. Returns steps, hottest and mean temperatures before
     and after (K), and the heat (J) that has left through fixed nodes and to the gas. Raises SolverError when the linear solver does not
     come to an end.
     """
@@ -104,7 +106,9 @@ def cool(
             stage += free * (np.sum(b - times(A, stage)) / (free @ times(A, free)))
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
+        recover(0.5 * dt)
         share(take, m, LEAST)
+        recover(0.5 * dt)
         taken -= float(gain.sum())
         T += change
         left = left - dt if dt < left else 0.0

@@ -83,7 +83,7 @@ def measure(
     m["T_p99_K"] = float(np.percentile(particle.points.T, 99))
     m["T_max_K"] = float(particle.points.T.max())
     m["von_mises_max_Pa"] = float(von_mises(particle.stress()).max())
-    m["target_eps_p_max"] = float(target.elements.eps_p.max())
+    m["target_eps_p_max"] = float(target.elements.plastic_strain.max())
     m["target_T_max_K"] = float(target.elements.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
     m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)

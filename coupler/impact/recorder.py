@@ -50,7 +50,7 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     cells = {
         "stress": stress[:, VTK_ORDER],
         "von_mises": von_mises(stress),
-        "eps_p": t.elements.eps_p,
+        "eps_p": t.elements.plastic_strain,
         "T": t.elements.T,
     }
     return {**cells, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}

@@ -42,7 +42,9 @@ class Material:
     c0, s: of the Hugoniot; cp, k and thermal_expansion (linear) ((T, value), ...): one pair, a constant, or two, linear between them
     and constant outside; sigma_TS: tensile strength at 293 K, for critical velocities; oxide_thickness, oxide_strength: of the native
     film; oxide_threshold: surface exposure at which it cracks (`physics.adhesion`); burgers: Burgers vector; taylor_alpha: coefficient
-    of Taylor's relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`). None: not known.
+    of Taylor's relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`); D_v, D_c: factors of
+    self-diffusion through the lattice and, times the area of a core, along dislocations; Q_v, Q_c: their activation energies, J/mol
+    (`physics.recovery`). None: not known.
     """
 
     name: str
@@ -62,6 +64,10 @@ class Material:
     oxide_threshold: Annotated[float | None, Number("", 0.0, 0.9)] = None
     burgers: Annotated[float | None, Number("nm", 1e-10, 1e-9)] = None
     taylor_alpha: Annotated[float, Number("", 0.0, 1.0)] = 0.0
+    D_v: Annotated[float | None, Number("m^2/s", 1e-9, 1.0)] = None
+    Q_v: Annotated[float | None, Number("kJ/mol", 1e4, 1e6)] = None
+    D_c: Annotated[float | None, Number("m^4/s", 1e-30, 1e-18)] = None
+    Q_c: Annotated[float | None, Number("kJ/mol", 1e4, 1e6)] = None
     source: str = ""
     note: str = ""
     strength: Strength

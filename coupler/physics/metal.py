@@ -12,12 +12,19 @@ UNKNOWN: Any = None  # in a cloud of points that does not have a field
 
 @dataclass(frozen=True, kw_only=True)
 class MetalState:
-    """State of n points or elements: eps_p; T K; eps_gradient 1/m, gradient of eps_p (in the unrotated frame in an impact), zero in
+    """State of n points or elements: eps_p, the equivalent plastic strain that hardens; eps_recovered, what recovery has taken of it
+    (`physics.recovery`); T K; eps_gradient 1/m, gradient of eps_p (in the unrotated frame in an impact), zero in
     metals that it does not harden. A further field here is stored, restored, meshed, joined and renumbered without other changes."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN
     eps_gradient: Annotated[np.ndarray, Rows(3)] = UNKNOWN
+    eps_recovered: Annotated[np.ndarray, Rows()] = UNKNOWN
+
+    @property
+    def plastic_strain(self) -> np.ndarray:
+        """All equivalent plastic strain, (n,): what results say."""
+        return self.eps_p + self.eps_recovered
 
 
 def carried(record: MetalState) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
+from ..physics.recovery import recovered_share
 from ..scene.effects import NAMES, WHOLE
 from .cost import STRAIN_OF_FLOW
 
@@ -59,6 +60,11 @@ class Situation:
     def in_particle(self) -> float:
         return self.diffusion(0, self.duration) / self.spacing
 
+    def recovered(self, m: Material, T: float, heated: float) -> float:
+        """Share of the dislocations that recover in the pause: at T (K), or as hot as the impact makes it while a splat is that hot."""
+        hot = min(self.dwell, self.diameter**2 / diffusivity(m, T))
+        return max(recovered_share(m, T, self.dwell), recovered_share(m, min(T + heated, m.T_m), hot))
+
     def of_both(self, number: Callable[[Material, float, float], float]) -> float:
         """A number of material, temperature and heating, of the body that calls for the effect more."""
         return max(number(*body) for body in self.bodies)
@@ -84,7 +90,7 @@ class Effect:
 
 
 # Thresholds above 0 are those of what takes time and may change nothing: no wave is back yet; the pause is too short for heat to leave
-# the splat; of conduction, what changes no measure by more than half a percent.
+# the splat; of conduction, what changes no measure by more than half a percent; of recovery, half a percent of the hardening.
 EFFECTS = (
     Effect(
         "thermal_softening", "heating or preheat / (T_m - T)",
@@ -130,6 +136,7 @@ EFFECTS = (
         lambda s: min(s.diffusion(1, s.duration) / s.element_size, s.in_particle), 0.15,
     ),
     Effect("cooling", "sqrt(alpha dwell) / diameter", lambda s: max(s.diffusion(k, s.dwell) for k in (0, 1)) / s.diameter, 0.05),
+    Effect("recovery", "dislocations that recover in a pause", lambda s: s.of_both(s.recovered), 0.01),
 )  # fmt: skip
 
 

@@ -106,10 +106,10 @@ class Plan:
 
     impacts: one after another; batches: which of them are computed side by side. contact_stiffness: factor on the penalty stiffness.
     gas: lines about what the gas gives. engine: of the particles (`coupler.particle.engine`). solids: shapes from files, by the name of
-    the file. ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer
-    coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, ""
-    for one. decisions: about each effect. companions: points of the coarser runs that measure the error, none where it is not
-    measured. skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
+    the file. ambient: temperature (K) to which all cools after the last impact in cooling_time (s), None where it does not;
+    surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the
+    time between impacts, "" for one. decisions: about each effect. companions: points of the coarser runs that measure the error, none
+    where it is not measured. skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
     """
 
     name: str
@@ -130,6 +130,7 @@ class Plan:
     warnings: tuple[str, ...]
     solids: dict[str, SolidPlan]
     ambient: float | None
+    cooling_time: float
     surface_heat: tuple[float, float] | None
     spray: str
     companions: tuple[int, ...] = ()

@@ -56,6 +56,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         gas=tuple(describe_gas(scene)),
         warnings=tuple(remarks(scene, impacts, base, decided)),
         ambient=scene.derived.ambient,
+        cooling_time=scene.end.cooling_time,
         surface_heat=scene.derived.surface_heat,
         spray=_spray(scene),
         companions=companions(scene) if error else (),

@@ -13,7 +13,7 @@ from ..files.inputs import read_json_object
 from .model import Plan
 
 FILE = "plan.json"
-FORMAT = 9
+FORMAT = 10
 
 
 def plan_text(plan: Plan) -> str:

@@ -27,6 +27,7 @@ class Effects:
     particle_conduction: bool
     interface_conduction: bool
     cooling: bool
+    recovery: bool
 
     @property
     def switches(self) -> dict[str, bool]:

@@ -364,11 +364,12 @@ class Resolution(Section):
 class End(Section):
     """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
     comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one
-    at "rest"."""
+    at "rest". cooling_time (s): of that cooling, in which static recovery acts; 0: none does."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
     ambient: Temperature = 300.0
+    cooling_time: Annotated[float, Quantity("s", "0 s", "1000000 s")] = 0.0
 
 
 class Output(Section):

@@ -66,7 +66,7 @@ def means_of(bodies: Bodies, body: int) -> dict[str, float]:
     values = {
         "von_mises_Pa": von_mises(t.elements.s[own]),
         "pressure_Pa": pressure,
-        "eps_p": t.elements.eps_p[own],
+        "eps_p": t.elements.plastic_strain[own],
         "T_K": t.elements.T[own],
     }
     return {name: float(np.average(value, weights=weight)) for name, value in values.items()}

@@ -61,16 +61,43 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
     return bodies.joined([plate], Adhesion(kind=cast(Any, kind)), 3e-6, ORIGIN, None, 1)
 
 
-def planned(metal: Material, base: Material) -> Any:
+def planned(metal: Material, base: Material, recovers: bool = False) -> Any:
     impact = SimpleNamespace(material=metal, temperature=CAME, diameter=25e-6)
     target = SimpleNamespace(material=base, temperature=AMBIENT)
-    return SimpleNamespace(ambient=AMBIENT, impacts=[impact], target=target, adhesion=Adhesion("none"))
+    effects = SimpleNamespace(recovery=recovers)
+    known = {
+        "target": target,
+        "adhesion": Adhesion("none"),
+        "effects": effects,
+        "cooling_time": 60.0 if recovers else 0.0,
+    }
+    return SimpleNamespace(ambient=AMBIENT, impacts=[impact], **known)
 
 
 def stiff(metal: Material, alpha: float) -> Material:
     """A metal that does not yield here."""
     strong = replace(metal.strength, numbers=metal.strength.numbers | {"A": 1e11})
     return replace(metal, thermal_expansion=((300.0, alpha),), strength=strong)
+
+
+def test_what_cools_slowly_recovers_and_is_relieved_and_keeps_its_plastic_strain() -> None:
+    """Cold-worked aluminium of a strain of 1 on a stiff base, 60 s from 700 K: it bears what annealed metal bears after the
+    strain of the contraction alone; steel does not recover."""
+    metal, stress = material("Al1100"), []
+    for recovers in (False, True):
+        bodies = coated(metal, STIFF_BASE, "tied")
+        e = bodies.target.elements
+        e.eps_p[:] = 1.0
+        e.sigma_y[:] *= 3.0  # about
+        bodies, _ = cool_to_ambient(planned(metal, STIFF_BASE, recovers), bodies, 1e-9)
+        e, plate = bodies.target.elements, bodies.body == 1
+        stress.append(float(np.sqrt(1.5 * np.mean(np.sum(e.s[plate, :3] ** 2, axis=1)))))
+        assert (e.eps_recovered[~plate] == 0.0).all()
+        assert e.plastic_strain[plate].min() >= 1.0 - 1e-9
+        assert (e.eps_recovered[plate] > 0.99).all() if recovers else (e.eps_recovered[plate] == 0.0).all()
+        assert (e.eps_p[plate] < 0.1).all() == recovers
+        assert stress[-1] == pytest.approx(metal.flow_stress(float(e.eps_p[plate].mean()), 0.0, AMBIENT), rel=0.1)
+    assert stress[1] < 0.7 * stress[0]
 
 
 @pytest.mark.parametrize("alpha", [16e-6, 0.0])
@@ -92,6 +119,23 @@ def test_a_free_body_contracts_by_its_alpha_and_is_without_stress(alpha: float) 
     stress = np.average(t.stress()[own, :2].mean(axis=1), weights=t.elements.volume[own])
     assert abs(stress) < 4e6  # of a pressure of 2.5 GPa that the heat alone would leave
     assert report["T_max_before_K"] == pytest.approx(WARM)
+
+
+def test_a_preheated_substrate_cools_as_one_and_none_of_it_flows() -> None:
+    """Soft at 700 K, it would yield at a tenth of the pressure that its contraction or its heat alone makes."""
+    metal = material("Al1100")
+    points, tets = box((60e-6, 60e-6, 40e-6), 10e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
+    target = Target(mesh, law_record(metal, rate_filter=1e-9), WARM, track_wave=False)
+    bodies, plan = Bodies(target, np.zeros(len(tets), np.int32), ("bottom", "sides"), (), 0.3), planned(metal, metal)
+    plan.impacts, plan.target.temperature = [], WARM
+    bodies, _ = cool_to_ambient(plan, bodies, 1e-9)
+    t = bodies.target
+    assert np.ptp(t.nodes.x, axis=0) / np.ptp(mesh.points, axis=0) == pytest.approx(
+        1.0 - 23.1e-6 * (WARM - AMBIENT), rel=1e-9
+    )
+    assert t.elements.eps_p.max() == 0.0
+    assert np.abs(t.stress()).max() < 2e6
 
 
 def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:

@@ -49,6 +49,12 @@ def test_half_space_with_a_cold_face_follows_the_error_function() -> None:
     assert errors[1] < 0.8 * errors[0]
 
 
+def test_recovery_is_called_for_all_of_the_time() -> None:
+    t, times = Target(block(0.5), law_record(elastic()), 400.0, fixed=()), list[float]()
+    cool(t, 3.0, NONE, 300.0, recover=times.append)
+    assert sum(times) == pytest.approx(3.0, rel=1e-12)
+
+
 def test_insulated_heat_levels_out_and_none_is_lost_with_cp_and_k_of_temperature() -> None:
     law = law_record(elastic())
     law["cp_T0"], law["cp_T1"], law["cp_slope"] = 300.0, 1300.0, 0.3  # 450 to 750 J/kgK
