@@ -8,7 +8,7 @@
 # make effects  what each effect changes, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
 # make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; goes on where it was stopped)
 # make fuzz   random scenes: each a result that an independent check finds no fault in, or a clear refusal; N=1000 SEED=1 say how many and which
-# make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs in its tables are not computed again)
+# make validate  the paper's cases and trends into docs/evidence/validation.md (an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build
 # make gallery  the pages of docs/gallery with what they print and draw, computed again (10 minutes of processor time)

@@ -71,11 +71,12 @@ def single_impact(
 
 
 @contextmanager
-def computed(scene: Scene, **more: Any) -> Iterator[tuple[Result, float]]:
-    """Run a scene in one thread, in a folder that is removed behind: its result and the processor time, s. more: options of `run`."""
+def computed(scene: Scene, folder: Path | None = None, **more: Any) -> Iterator[tuple[Result, float]]:
+    """Run a scene in one thread: its result and the processor time, s. folder: None for one that is removed behind; more: options of
+    `run`."""
     started = time.process_time()
     with tempfile.TemporaryDirectory() as place:
-        result = run(scene, Path(place) / "run", threads=1, quiet=True, **more)
+        result = run(scene, folder or Path(place) / "run", force=True, threads=1, quiet=True, **more)
         yield result, time.process_time() - started
 
 

@@ -1,12 +1,12 @@
 """The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
 
     python workflows/validate.py                   # what is not in the tables yet, then the page
-    python workflows/validate.py --only cases      # of: cases, spread, trends, shapes, scatter
-    python workflows/validate.py --docs            # runs nothing: the page and its figure from the tables
+    python workflows/validate.py --only cases      # of: cases, pairs, spread, trends, shapes, scatter, figures
+    python workflows/validate.py --docs            # runs nothing: the page and its figures of the tables
 
 A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv; rows
-in the tables are not computed again. `validation_page.py` writes the page and its figure from the tables and from paper_values.toml.
-Nothing is fitted to the paper.
+in the tables are not computed again, nor are those whose fields the figures show, in runs/validation. `validation_page.py` writes the
+page from the tables and from paper_values.toml, `validation_figures.py` draws. Nothing is fitted.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import validation_figures as figures
 import validation_page as page
 from numpy.typing import NDArray
-from pages import computed, failed, options, study_table
+from pages import TABLES, computed, failed, options, study_table, write_table
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
@@ -28,6 +29,7 @@ from coupler.geometry.tetrahedra import volumes
 from coupler.impact.exchange import Impact
 
 HERE = Path(__file__).parent
+RUNS = HERE.parent / "runs" / "validation"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
 TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
@@ -46,7 +48,8 @@ OF_IMPACT = {
 AT_END = {
     "rebound_m_s": ("velocity_z_m_s", 1.0), "crater_um": ("crater_depth_m", 1e6), "target_T_max": ("target_T_max_K", 1.0),
     "von_mises_MPa": ("von_mises_max_Pa", 1e-6), "target_von_mises_MPa": ("target_von_mises_max_Pa", 1e-6),
-    "plastic_radius_um": ("plastic_radius_m", 1e6), **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},
+    "target_eps_p_max": ("target_eps_p_max", 1.0), "plastic_radius_um": ("plastic_radius_m", 1e6),
+    **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},
     **{f"T_{which}": (f"T_{which}_K", 1.0) for which in ("mean", "p99", "max")},
 }  # fmt: skip
 OF_SHAPE = {
@@ -85,6 +88,18 @@ def cases() -> Iterator[Case]:
     yield from (Case(letter, scene_of(name)) for letter, name in CASES.items())
 
 
+def pairs() -> Iterator[Case]:
+    """Two nickel particles of 25 um, one onto the other, and single ones that stay, for 150 ns: figures 6 and 8 to 10 of the paper."""
+    stays = '\n[adhesion]\nkind = "tied"\ncriterion = "plastic_strain"\nthreshold = 0.01\n'
+    both = scene_of("double_ni_ti").replace('"Ti"', '"Ni"').replace('"30 um"', '"25 um"')
+    old = 'velocity = "500 m/s"\ntemperature = "300 K"'
+    for v, T in page.PAPER["double_Ni"]["impacts"]:
+        name, new = f"{v:.0f}-{T:.0f}K", f'velocity = "{v:.0f} m/s"\ntemperature = "{T:.0f} K"'
+        yield Case(f"Ni-Ni-{name}", both.replace(old, new), T)
+        alone = scene_of("single_ni", velocity=f"{v:.0f} m/s", temperature=f"{T:.0f} K")
+        yield Case(f"Ni-{name}", alone.replace('at = "rest"', 'time = "150 ns"') + stays, T)
+
+
 def scatter() -> Iterator[Case]:
     """Case D over velocities and misalignments of an experiment, coarse; the first run has the velocities alone."""
     mean, spread = FIRST_VELOCITY
@@ -104,7 +119,8 @@ def scatter() -> Iterator[Case]:
 
 
 def spread() -> Iterator[Case]:
-    """Cases A and B at the ends and the mean of the measured impact velocities, coarse."""
+    """Cases A and B at the ends and the mean of the measured impact velocities, and A on steel without its rate term, coarse."""
+    yield Case("no-rate", scene_of(CASES["A"], "draft") + "\n[materials.SS304]\nC = 0.0\n")
     for letter, speeds in SPREAD.items():
         for v in speeds:
             yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", velocity=f"{v} m/s"))
@@ -222,15 +238,16 @@ class PressureProbe:
             self.force, self.pressure = force, contact_pressure(force, touching)[0]
 
 
-def fill(name: str, cases: Iterable[Case]) -> None:
-    """Compute the runs that a table lacks."""
+def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
+    """Compute the runs that a table lacks, or RUNS where they are kept."""
     table = study_table(name, COLUMNS, ("run", "impact"), "make validate")
     for case in cases:
-        if (case.name, "1") in table:
+        folder = RUNS / case.name if keep else None
+        if (case.name, "1") in table and (folder is None or (folder / "summary.json").is_file()):
             continue
         try:
             probe = PressureProbe()
-            with computed(Scene.from_text(case.text, case.name), probe=probe) as (result, cpu):
+            with computed(Scene.from_text(case.text, case.name), folder, probe=probe) as (result, cpu):
                 rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
             rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
@@ -241,12 +258,26 @@ def fill(name: str, cases: Iterable[Case]) -> None:
             print({column: new[column] for column in shown}, flush=True)
 
 
+def draw_runs() -> None:
+    """Draw the figures that need the fields of cases and pairs."""
+    runs = {case.name: Result(RUNS / case.name) for case in (*cases(), *pairs())}
+    singles = {"A": runs["A"], **{name: runs[f"Ni-{name}"] for name in figures.COLOURS}}
+    rows = [row for name, result in singles.items() for row in figures.axis_rows(name, result)]
+    write_table(TABLES / f"{figures.AXIS}.csv", rows, "remake: make validate\nat: ns over time, um over depth; SI else")
+    figures.draw_cases({words: runs[words[0]] for words in ("A: Ni", "B: Ti", "C: Ni, Ti", "D: Ni, Ni, Ni")})
+    figures.draw_pairs({name: runs[f"Ni-Ni-{name}"] for name in figures.COLOURS})
+
+
 def main() -> None:
-    """Fill the tables, write the page."""
-    parts = {"cases": cases, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
-    a = options(__doc__, "docs", only=list(parts))
+    """Fill the tables, draw the figures, write the page."""
+    parts = {"cases": cases, "pairs": pairs, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
+    a = options(__doc__, "docs", only=[*parts, "figures"])
     for part in () if a.docs else a.only:
-        fill(TABLE_OF.get(part, "validation"), parts[part]())
+        if part == "figures":
+            draw_runs()
+        else:
+            fill(TABLE_OF.get(part, "validation"), parts[part](), keep=part in ("cases", "pairs"))
+    figures.draw_trends()
     page.write_page()
 
 
