@@ -9,7 +9,7 @@ from ..geometry.raycast import RaySurface
 from ..geometry.triangles import enclosed_volume
 from ..particle.carried_surface import CarriedSurface
 from ..physics.constitutive import von_mises
-from ..ranks.distributed import DistributedParticle
+from .domains import Domains
 
 FAR = 2.0  # spacings: a vertex of the surface so far from any point lies in a jet that no point resolves
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
@@ -56,17 +56,10 @@ def plastic_zone(target: Target) -> tuple[float, float]:
     return float(np.sqrt(area / np.pi)), max(float(depth), 0.0)
 
 
-def measure(
-    particle: DistributedParticle,
-    target: Target,
-    surface: CarriedSurface,
-    diameter: float,
-    level: float = 0.0,
-) -> dict[str, float]:
-    """Measures of this instant, SI, but for the crater. Heights above z = level; means over mass, percentiles over points.
-
-    particle, target: the two domains; surface: the particle's carried surface; diameter: the particle's, m.
-    """
+def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]:
+    """Measures of this instant, SI, but for the crater. Heights above z = level; means over mass, percentiles over points. diameter:
+    of the particle, m."""
+    particle, target, surface = domains.particle, domains.target, domains.surface
     rho = float(particle.law["rho"][0])
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]

@@ -162,7 +162,7 @@ class Recorder:
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""
         level = impact.domains.level + self._flight(impact)
-        m = measure(impact.particle, impact.target, impact.surface, self.impact_plan.diameter, level)
+        m = measure(impact.domains, self.impact_plan.diameter, level)
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:

@@ -186,12 +186,8 @@ class _Attempt:
                 f"particle {self.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: check gap, angle and offset of"
                 " [particle], or give a larger end.time"
             )
-        # a coating goes on without a particle that has slid off it
-        is_lost = len(self.plan.impacts) > 1 and ending.slid_off(impact.time)
-        undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
-        settled = ending.settled(impact.time)
-        record = summarise(impact, recorder, self.retries, watch.wall, watch.looped, undecided, settled, is_lost)
-        if undecided is not None or record.values["rebounded"] is None:
+        record = summarise(impact, recorder, ending, self.retries, watch.wall, watch.looped)
+        if record.values["undecided"] is not None or record.values["rebounded"] is None:
             save(state())
         return ImpactOutcome(self.domains, impact.hold, record)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..files.summary import Values
 from ..measures import STICKS, UNDECIDED, within_range
+from .ending import EndCriterion
 from .exchange import Impact
 from .ledger import FLOWS
 from .measure import share_inside_itself
@@ -36,22 +37,16 @@ class ImpactRecord:
 
 
 def summarise(
-    impact: Impact,
-    recorder: Recorder,
-    retries: Sequence[Retry],
-    wall: float,
-    looped: float,
-    undecided: str | None,
-    settled: bool,
-    is_lost: bool,
+    impact: Impact, recorder: Recorder, ending: EndCriterion, retries: Sequence[Retry], wall: float, looped: float
 ) -> ImpactRecord:
-    """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop; undecided: why it
-    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end; is_lost: whether
-    the particle has slid over the rim of the target.
+    """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop.
 
     A measure outside its range, one that needs the end criterion of an undecided impact, and the rebound velocity of a particle that
     does not rebound, is None; `refused` has the reason.
     """
+    # a coating goes on without a particle that has slid off it
+    is_lost = len(recorder.plan.impacts) > 1 and ending.slid_off(impact.time)
+    undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
     own = {
@@ -63,7 +58,7 @@ def summarise(
         "undecided": undecided,
     }
     end: Values = {**measured}
-    if not settled and not is_lost:
+    if not ending.settled(impact.time) and not is_lost:
         own |= {"verdict": UNDECIDED, "verdict_by": None, "verdict_is_close": False, **dict.fromkeys(_NEED_VERDICT)}
         own["verdict_rests_on"] = undecided or "the contact has not come to an end"
         own |= {"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}
@@ -153,17 +148,12 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
 def _molten(impact: Impact, recorder: Recorder) -> list[str]:
     """Warnings of matter above its melting point: the law has no latent heat and no liquid."""
     particle, target = impact.particle, impact.target
-    melting = target.laws["T_m"][target.law_of]
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
+    melting = np.full(particle.n, particle.law["T_m"][0]), target.laws["T_m"][target.law_of]
+    shares = particle.mass / particle.mass.sum(), target.mesh.V0 / sphere
     warnings = []
-    for name, T, T_m, share in (
-        (
-            "particle",
-            particle.points.T,
-            np.full(particle.n, particle.law["T_m"][0]),
-            particle.mass / particle.mass.sum(),
-        ),
-        ("target", target.elements.T, melting, target.mesh.V0 / sphere),
+    for name, T, T_m, share in zip(
+        ("particle", "target"), (particle.points.T, target.elements.T), melting, shares, strict=True
     ):
         molten = T > T_m
         if molten.any():
