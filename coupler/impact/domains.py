@@ -131,7 +131,8 @@ def body_of(plan: Plan, i: int) -> shapes.Body:
     """Points and surface of the particle of impact i, about its centre."""
     p = plan.impacts[i]
     if p.file:
-        return shapes.of_surface(*plan.solids[p.file].surface(), p.diameter, p.points, p.tilt, SURFACE_EDGE)
+        points, triangles = map(np.array, vars(plan.solids[p.file]).values())
+        return shapes.of_surface(points, triangles, p.diameter, p.points, p.tilt, SURFACE_EDGE)
     return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE)
 
 

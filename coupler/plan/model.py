@@ -4,9 +4,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-
-from ..geometry.solid import Solid
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
 from ..scene.effects import Effects
@@ -86,18 +83,8 @@ class TargetPlan:
 class SolidPlan:
     """The surface of a shape from a file, as `geometry.solid.Solid` has it."""
 
-    points: tuple[tuple[float, float, float], ...]
-    triangles: tuple[tuple[int, int, int], ...]
-
-    @classmethod
-    def of(cls, solid: Solid) -> "SolidPlan":
-        """The plan of a solid."""
-        points = tuple((x, y, z) for x, y, z in solid.points.tolist())
-        return cls(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
-
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n,3) and triangles (m,3)."""
-        return np.array(self.points), np.array(self.triangles)
+    points: list[list[float]]
+    triangles: list[list[int]]
 
 
 @dataclass(frozen=True)

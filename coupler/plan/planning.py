@@ -33,6 +33,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do); error:
     whether it is measured. Raises SceneError if the scene names an unknown material."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
+    solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.material)
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
@@ -60,7 +61,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         surface_heat=scene.derived.surface_heat,
         spray=_spray(scene),
         companions=companions(scene) if error else (),
-        solids={name: SolidPlan.of(load(Path(name))) for name in dict.fromkeys(i.file for i in impacts if i.file)},
+        solids={name: SolidPlan(each.points.tolist(), each.triangles.tolist()) for name, each in solids.items()},
     )
 
 
