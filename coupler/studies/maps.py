@@ -4,7 +4,6 @@ and diameter, with their uncertainty (Rasmussen & Williams 2006, Gaussian Proces
 from __future__ import annotations
 
 import itertools
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,8 +26,8 @@ from .sweep import point_name, set_key, toml_text
 
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
 FEWEST_VALUES = 4  # along each axis, of which a map is interpolated
-POINTS_PER_AXIS = 10  # of scattered points: Loeppky, Sacks & Welch (2009), Technometrics 51, 366
-FULL_GRID = 0.75  # share of the places of a grid that have a result
+POINTS_PER_AXIS = 10  # Loeppky, Sacks & Welch (2009), Technometrics 51, 366
+FEWEST_IN_PLANE = 12  # points over two axes: three quarters of the smallest grid
 SPREAD = 0.25  # least over greatest singular value of the scaled points; of two axes a correlation of 0.88
 NARROW = 0.05  # width over middle of a bracket of the critical velocity that is not halved again
 FORMULAS = ("velocity_ratio",)  # measures that follow from the scene, without a run
@@ -131,8 +130,8 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
     """Why the points of rows support no interpolation over the axes, in words; "" where they support it. Each axis has FEWEST_VALUES
-    values or more. Of several axes the places are most of a grid (`_is_grid`), or they are at least as many as the smallest grid has or
-    POINTS_PER_AXIS for each axis, whichever is less, and do not lie near one line or plane (SPREAD)."""
+    values or more. Over several axes there are FEWEST_IN_PLANE or POINTS_PER_AXIS for each, and do not lie near one line or plane
+    (SPREAD)."""
     x = np.array([[row[axis] for axis in axes] for row in rows], float).reshape(-1, len(axes))
     counts = {axis: len(np.unique(column)) for axis, column in zip(axes, x.T, strict=True)}
     few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
@@ -142,31 +141,15 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
         return ""
     logs = _logs(x, axes)
     places = np.unique(_unit(logs).round(9), axis=0)
-    if _is_grid(places):
-        return ""
-    needed = min(FEWEST_VALUES ** len(axes), POINTS_PER_AXIS * len(axes))
+    needed = FEWEST_IN_PLANE if len(axes) == 2 else POINTS_PER_AXIS * len(axes)
     if len(places) < needed:
-        grid = " x ".join([str(FEWEST_VALUES)] * len(axes))
-        wanted = f"a grid of {grid}, or {needed} points spread over them"
-        return f"{len(places)} points; an interpolation over {len(axes)} axes needs {wanted}"
+        return f"{len(places)} points; an interpolation over {len(axes)} axes needs {needed} points spread over them"
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if sizes[-1] < SPREAD * sizes[0]:
         where = "one line" if len(axes) == 2 else "one plane"
         words = " and ".join(measure(axis).short for axis in axes)
         return f"the points lie near {where} of {words}; an interpolation needs points spread over all axes"
     return ""
-
-
-def _is_grid(places: NDArray) -> bool:
-    """Whether most places (n,d), none twice, form a grid of FEWEST_VALUES values or more along each axis. Values that fewer than
-    FEWEST_VALUES - 1 places have are not those of the grid, but of points between."""
-    in_grid, counts = np.ones(len(places), bool), []
-    for column in places.T:
-        _, index, count = np.unique(column, return_inverse=True, return_counts=True)
-        shared = count >= FEWEST_VALUES - 1
-        counts.append(int(shared.sum()))
-        in_grid &= shared[index]
-    return min(counts) >= FEWEST_VALUES and int(in_grid.sum()) >= FULL_GRID * math.prod(counts)
 
 
 def _distances(standard: NDArray) -> NDArray:
