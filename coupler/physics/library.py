@@ -56,11 +56,6 @@ def refuse(problems: list[str], name: str) -> None:
         raise SceneError(problems, name)
 
 
-def unknown(kind: str, name: str, known: Mapping[str, object]) -> str:
-    """The message for an unknown record. known: the records of this kind by name."""
-    return f"unknown {kind}{units.nearest(name, known)}; known: {', '.join(known)}"
-
-
 def read_number(value: object, unit: str, low: float, high: float) -> float:
     """A number with a unit, or a plain one with unit "". Raises ValueError where it is none, or outside low to high (SI)."""
     if unit:

@@ -74,7 +74,7 @@ def library() -> dict[str, Nozzle]:
 
 def unknown(name: str, known: Mapping[str, object]) -> str:
     """The message for an unknown nozzle. known: nozzles by name."""
-    return records.unknown("nozzle", name, known)
+    return f"unknown nozzle{units.nearest(name, known)}; known: {', '.join(known)}"
 
 
 def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[str]]:

@@ -117,7 +117,7 @@ def compute_missing(
     table: StudyTable,
     say: Callable[[str], None],
     quiet: bool = True,
-) -> StudyTable:
+) -> None:
     """Compute the points of the ladder that the table lacks. say(text): called with a line about each; quiet: no progress bars. A
     setting that fails, or that finished only after a retry with other numerics, is a row with its reason and no measures."""
     missing = [point for point in ladder if point.key not in table]
@@ -136,7 +136,6 @@ def compute_missing(
             row = compute(scene_here, point, folder, Progress(quiet=quiet))
         new = table.add(row)
         say(f"  {new['failed'] or 'finished'}, {float(new['cpu_s']):.3g} s of processor time")
-    return table
 
 
 def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) -> dict[str, object]:
