@@ -1,15 +1,15 @@
-"""Points: how deep they lie in a mesh; their order along a curve; cleaning of clouds (open3d)."""
+"""Points: how deep they lie in a mesh; their order along a curve; cleaning of clouds."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from .library import open3d
 from .raycast import RaySurface
 from .tetrahedra import boundary_faces
 
 SAME_PLACE = 1e-4  # spacings: points so close are one
+NEAR = 32  # tetrahedra with the nearest centres, in one of which a point inside a mesh lies
 AT_ONCE = 4096  # points in a part of `depths`: some 100 MB
 LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
 BITS = 16  # of each coordinate in the key of `morton`
@@ -19,15 +19,12 @@ LONELY = 2.5  # spacings: a point without another one so near is no part of a bo
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
     """Which of points x (n,3) m to keep: each position once, without isolated points; and what is left out, as text."""
-    o3d = open3d()
     finite = np.isfinite(x).all(axis=1)
     if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # reported by the check of the cloud
         return np.arange(len(x)), []
     pairs = cKDTree(x).query_pairs(SAME_PLACE * spacing, output_type="ndarray")
     first = np.setdiff1d(np.arange(len(x)), pairs.max(axis=1, initial=-1))
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector((x[first] - x[first[0]]) / spacing))
-    _, kept = cloud.remove_radius_outlier(2, LONELY)  # the point itself counts
-    index = first[np.asarray(kept, np.int64)]
+    index = first[cKDTree(x[first]).query(x[first], k=2)[0][:, 1] <= LONELY * spacing]
     if len(index) < LEAST_KEPT * len(x):  # another fault, such as a wrong spacing
         return np.arange(len(x)), []
     counts = {"points on top of others": len(x) - len(first), "points far from all others": len(first) - len(index)}
@@ -47,15 +44,15 @@ def is_shell(x: NDArray) -> bool:
     return bool(np.median(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-300)) < FLAT)
 
 
-def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0, near: int = 32) -> NDArray[np.float64]:
+def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0) -> NDArray[np.float64]:
     """Distance (k,) m of points x (k,3) inside the tetrahedra (m,4) of points (n,3) from their boundary, where it is larger than
     `least` m; else 0, as outside.
 
-    Only the `near` tetrahedra with the nearest centres are tried.
+    Only the NEAR tetrahedra with the nearest centres are tried.
     """
     centres, inside = cKDTree(points[tets].mean(axis=1)), np.zeros(len(x), bool)
     for rows in np.array_split(np.arange(len(x)), len(x) // AT_ONCE + 1):
-        candidates = centres.query(x[rows], np.arange(1, min(near, len(tets)) + 1))[1]
+        candidates = centres.query(x[rows], np.arange(1, min(NEAR, len(tets)) + 1))[1]
         corner = points[tets[candidates]]
         edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
         weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
