@@ -97,20 +97,21 @@ def run_impact(
         options.progress.log(f"going on from {(before + resume_from.impact.time) * 1e9:.1f} ns")
     with stop_signals() as signals:
         while True:
-            state = resume_from.impact.bodies if resume_from is not None else bodies
-            attempt = _Attempt(plan, i, restored_target(plan, state), store, before, options, retries, resume_from)
+            met, level = (resume_from.impact.bodies, resume_from.level) if resume_from is not None else (bodies, None)
+            attempt = _Attempt(plan, i, restored_target(plan, met), store, before, options, retries, level)
             try:
+                if resume_from is not None:
+                    attempt.restore(resume_from)
                 return attempt.run(watch, signals, save)
-            except SolverError as error:
-                attempt.give_up()
+            except BaseException as error:
+                attempt.impact.particle.close()
+                if not isinstance(error, SolverError):
+                    raise
                 retry = next_retry(retries, options.numerics, error, i + 1, before + attempt.impact.time)
                 options.progress.log(str(retry))
                 retries.append(retry)
                 store.go_back(written, options.progress.log)
                 resume_from = None
-            except BaseException:
-                attempt.give_up()
-                raise
 
 
 class _Attempt:
@@ -125,32 +126,25 @@ class _Attempt:
         before: float,
         options: RunOptions,
         retries: Sequence[Retry],
-        state: RunningState | None,
+        level: float | None,
     ):
-        """state: on its way, from which it goes on; bodies: those of the state, or of the start. Starts LAMMPS."""
+        """bodies, level: as the impact meets them, as for `build_domains`. Starts LAMMPS."""
         p = plan.impacts[i]
         self.plan, self.i, self.options, self.retries = plan, i, options, retries
         options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
         options.progress.stage("building the particle")
         numerics = retries[-1].numerics if retries else options.numerics
-        level = state.level if state is not None else None
         self.domains = build_domains(plan, i, bodies, options.log_file, numerics, options.ranks, level)
         self.impact = Impact(self.domains)
         self.impact.dt_factor = retries[-1].dt_factor if retries else 1.0
-        try:
-            self.ending = _end_criterion(plan, i, self.impact.ledger.kinetic_0)
-            self.recorder = Recorder(plan, i, store, options.progress, before)
-            if state is not None:
-                self.impact.restore(state.impact)
-                self.ending.seen, self.recorder.seen = state.ending, state.recorder
-                self.ending.extend(self.impact.time, options.until)
-        except BaseException:
-            self.give_up()
-            raise
+        self.ending = _end_criterion(plan, i, self.impact.ledger.kinetic_0)
+        self.recorder = Recorder(plan, i, store, options.progress, before)
 
-    def give_up(self) -> None:
-        """Stop the domains that still run."""
-        self.impact.particle.close()
+    def restore(self, state: RunningState) -> None:
+        """Go on from a state of the impact on its way."""
+        self.impact.restore(state.impact)
+        self.ending.seen, self.recorder.seen = state.ending, state.recorder
+        self.ending.extend(self.impact.time, self.options.until)
 
     def run(self, watch: "_WallClock", signals: StopSignals, save: Callable[[RunningState], None]) -> ImpactOutcome:
         """Compute the impact to its end; write a checkpoint if the impact can continue from there."""
