@@ -265,13 +265,9 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
-    numbers = {
-        "threads": arguments.threads,
-        "checkpoint_every": arguments.checkpoint,
-        "jobs": options.jobs_of(arguments),
-    }
+    every, jobs = arguments.checkpoint, options.jobs_of(arguments)
     try:
-        result = work(progress=progress, **numbers)
+        result = work(progress=progress, threads=arguments.threads, checkpoint_every=every, jobs=jobs)
     except KeyboardInterrupt as interrupt:
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
         saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # whole, but for its error

@@ -47,13 +47,8 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined;
     impact: with which each has come, 0 of the substrate."""
     t, stress = bodies.target, bodies.target.stress()
-    cells = {
-        "stress": stress[:, VTK_ORDER],
-        "von_mises": von_mises(stress),
-        "eps_p": t.elements.plastic_strain,
-        "T": t.elements.T,
-    }
-    return {**cells, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
+    own = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.elements.plastic_strain}
+    return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
 class Recorder:

@@ -67,17 +67,13 @@ def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
 def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
     """A row for each measure, SI units. Raises StoreError."""
     keys = dict.fromkeys(key for spread in measures for key in spread.correlations)
-    names = [f"quantile_{share:g}" for share in SHARES]
-    head, of_keys = (
-        ("measure", "runs", "mean", "deviation", "error", *names),
-        [f"rank_correlation {key}" for key in keys],
-    )
-    rows = []
+    names, of_keys = [f"quantile_{share:g}" for share in SHARES], [f"rank_correlation {key}" for key in keys]
+    columns, rows = ("measure", "runs", "mean", "deviation", "error", *names, *of_keys), []
     for s in measures:
         mean, deviation = float(s.values.mean()), float(s.values.std(ddof=1))
-        numbers = s.measure.key, len(s.values), mean, deviation, s.error, *s.quantiles
-        rows.append(dict(zip((*head, *of_keys), (*numbers, *map(s.correlations.get, keys)), strict=True)))
-    write_rows(path, (*head, *of_keys), rows, about)
+        numbers = s.measure.key, len(s.values), mean, deviation, s.error, *s.quantiles, *map(s.correlations.get, keys)
+        rows.append(dict(zip(columns, numbers, strict=True)))
+    write_rows(path, columns, rows, about)
 
 
 def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
