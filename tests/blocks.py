@@ -79,7 +79,7 @@ class Blocks:
         t, c, b = self.target, self.contact, self.bond
         held = t.kinetic() + t.elastic() + t.balance.plastic + t.balance.numerical
         if c is not None:
-            held += c.pairs.penalty_energy + c.pairs.friction_heat + c.lost
+            held += c.pairs.penalty_energy + c.pairs.sums.friction_heat + c.pairs.sums.lost
         return float(held + (b.stored + b.dissipated if b is not None else 0.0))
 
     def moment(self) -> np.ndarray:

@@ -28,7 +28,7 @@ class Sheet:
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
         bond = Bond.tie(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, loose=True, **law)
-        self.hold = ParticleBonds(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
+        self.bonds = ParticleBonds(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
         k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
         self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)
@@ -39,7 +39,7 @@ class Sheet:
         self.contact.search(to, SQUARE, 1e-7, always=np.arange(len(to)))
         f[:] = 0.0
         self.contact.forces(1e-12, Nodes(SQUARE, np.zeros_like(SQUARE), g, 4))
-        self.hold.forces(to, SQUARE, f, g, self.contact)
+        self.bonds.forces(to, SQUARE, f, g, self.contact)
         np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-12 * (1e-30 + np.abs(f).max()))
         self.work -= 0.5 * float(np.sum((f + self._force) * (to - self._last)))
         self._last, self._force = to, f.copy()

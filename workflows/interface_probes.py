@@ -47,12 +47,12 @@ class Profile:
         self.values: tuple[np.ndarray, ...] | None = None
 
     def __call__(self, impact: Impact) -> None:
-        hold, exposure = impact.hold, impact.exposure
-        if impact.sinking > 0.0 or hold is None or exposure is None:
+        bonds, exposure = impact.bonds, impact.exposure
+        if impact.sinking > 0.0 or bonds is None or exposure is None:
             return
-        x, bond = impact.surface.positions(impact.particle.x)[hold.bond.nodes], hold.bond
-        flow = flow_stresses(impact)[hold.bond.nodes]
-        values = bond.strength[:, 0], flow, bond.energy[:, 0], exposure.clean[hold.bond.nodes, 0]
+        x, bond = impact.surface.positions(impact.particle.x)[bonds.bond.nodes], bonds.bond
+        flow = flow_stresses(impact)[bonds.bond.nodes]
+        values = bond.strength[:, 0], flow, bond.energy[:, 0], exposure.clean[bonds.bond.nodes, 0]
         self.values = np.hypot(x[:, 0], x[:, 1]), bond.area, *values
 
 

@@ -7,12 +7,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ..core.arrays import Histories
-from ..core.records import Shape
-from ..errors import CheckpointError, SolverError
+from ..core.records import Shape, copied, put
+from ..errors import SolverError
 from . import broad
 from . import kernels as k
 from .bond import Bond
-from .contact import Contact, ContactState
+from .contact import Contact, ContactState, ContactSums
 from .law import stiffness
 from .model import ALL, ANY, Nodes, new_history
 from .surfaces import Surfaces, neighbours
@@ -22,14 +22,10 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
 class ContactPast(NamedTuple):
-    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node; lost, friction_heat,
-    dropped_energy (J), dropped: see `BodyContact` and `ContactState`."""
+    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node."""
 
     nodes: Histories
-    lost: float = 0.0
-    friction_heat: float = 0.0
-    dropped_energy: float = 0.0
-    dropped: int = 0
+    sums: ContactSums = ContactSums()
 
     def renumbered(self, node: np.ndarray, count: int) -> "ContactPast":
         """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 of a removed node."""
@@ -38,16 +34,15 @@ class ContactPast(NamedTuple):
         return self._replace(nodes=nodes)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class BodyContactState:
-    """lost: energy (J) lost where compression passes from bonds to the contact; bonded (N,): nodes whose compression a bond resists."""
+    """pairs: contact of points and facets; bonded (N,): nodes whose compression a bond resists."""
 
-    lost: float
-    contact: ContactState
+    pairs: ContactState
     bonded: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
-class BodyContact:
+class BodyContact(BodyContactState):
     """Surface nodes of each body against the facets of all others, so that neither side of a pair lies in the other.
 
     The stiffness uses the mean area per node, from the facet spacing of the body's surface; the substrate, whose mesh coarsens
@@ -55,6 +50,8 @@ class BodyContact:
     to, only with other bodies; an unbonded node has contact with all other bodies. Bodies with fitted interfaces
     (`Interface.fitted`) start with almost zero contact force.
     """
+
+    pairs: Contact
 
     def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
         """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError unless there is one bulk
@@ -64,8 +61,7 @@ class BodyContact:
                 f"contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, got {len(bulk_modulus)}"
             )
         self.surfaces = surfaces
-        self.lost = 0.0  # energy lost where compression passes from bonds to the contact (gained: negative), J
-        self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes the bonded nodes as they are
+        self._is_new = True  # the first search takes the bonded nodes as they are
         self._body_of = np.full(len(x), ANY)
         self._body_of[surfaces.facets] = surfaces.body[:, None]
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
@@ -78,15 +74,16 @@ class BodyContact:
         nodes = [surfaces.nodes_of(body) for body in bodies]
         node = np.concatenate([np.zeros(0, np.int64), *nodes])
         self._facing = self._facets_around(x, bodies)
-        self.pairs = Contact(
+        pairs = Contact(
             self._body_of[node], surfaces.facets, surfaces.body, k_of, spacing, friction, jump=JUMP, node=node,
             facing=self._facing, skin=SKIN,
         )  # fmt: skip
+        super().__init__(pairs, np.zeros(len(x), bool))
         #: Step (s) of the penalty springs, and the masses and the number of moving nodes that it is of.
         self._stable_dt, self._weighed, self._moving = np.inf, np.zeros(0), 0
         elements = int(surfaces.element.max(initial=0)) + 1
-        pairs = np.sort(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
-        self._behind = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], elements)  # pairs of surface node and element
+        behind = np.sort(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
+        self._behind = np.divmod(behind[np.diff(behind, prepend=-1) > 0], elements)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
@@ -104,7 +101,7 @@ class BodyContact:
     def energy(self) -> float:
         """Energy that the contact stores, that friction has turned into heat, and that dropped contacts had stored, J."""
         c = self.pairs
-        return c.penalty_energy + c.friction_heat + c.dropped_energy
+        return c.penalty_energy + c.sums.friction_heat + c.sums.dropped_energy
 
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf, moving: int | None = None) -> float:
         """Stable time step (s) of the penalty springs between nodes of mass (N,) kg, of which only the first `moving` ever move
@@ -130,7 +127,7 @@ class BodyContact:
         """Find the pairs that can touch before surfaces have moved `travel` m relative to each other. active, v: see `Contact.search`.
 
         x (N,3) m. Compression at broken bonds and at bonds with large slip passes from the bond to the contact (`Bond.release`); the
-        spring energy lost in this change is added to `lost`, J. Raises SolverError when the positions are not finite numbers.
+        spring energy lost in this change is added to `sums.lost`, J. Raises SolverError when the positions are not finite numbers.
         """
         given_up = bond.release() if bond is not None else 0.0
         bonded, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
@@ -138,9 +135,9 @@ class BodyContact:
             tight = ~bond.loose
             bonded[bond.nodes[tight]] = True
             partner[bond.nodes[tight]] = self._body_of[bond.triangles[tight, 0]]
-        handed_over = (bonded != self._bonded) & (not self._is_new)
+        handed_over = (bonded != self.bonded) & (not self._is_new)
         changed = bool(handed_over.any()) or given_up > 0.0
-        before, self._bonded, self._is_new = self.energy if changed else 0.0, bonded, False
+        before, self.bonded, self._is_new = self.energy if changed else 0.0, bonded, False
         c, node = self.pairs, self.pairs.points.node
         c.points.partner[:] = partner[node]
         c.forget(handed_over[node])
@@ -148,7 +145,7 @@ class BodyContact:
         if changed:  # a step of zero length gives the energy that the contact stores with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy(), active)
-            self.lost += given_up + before - self.energy
+            c.sums.lost += given_up + before - self.energy
 
     def ignore_depth(self, depth: np.ndarray) -> None:
         """Start contacts of nodes without contact force that lie depth (N,) m deep in another body; all of this depth is ignored."""
@@ -171,7 +168,7 @@ class BodyContact:
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
         """Heat of friction since the last call, for `Target.warm`: (elements, J), the elements behind nodes and facets that slid."""
-        c, of_node = self.pairs, np.zeros(len(self._bonded))
+        c, of_node = self.pairs, np.zeros(len(self.bonded))
         of_node[c.points.node] = c.heat_point
         of_pair = (of_node * self._share_of_node)[self._behind[0]]
         pairs, facets = np.flatnonzero(of_pair), np.flatnonzero(c.heat_face)
@@ -182,25 +179,23 @@ class BodyContact:
 
     def state(self) -> BodyContactState:
         """State of the contact, for a checkpoint."""
-        return BodyContactState(self.lost, self.pairs.state(), self._bonded.copy())
+        return copied(self)
 
     def restore(self, state: BodyContactState) -> None:
         """Go back to a `state` of a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
-        if len(state.bonded) != len(self._bonded):
-            raise CheckpointError("a state does not fit: the contact has other bodies")
-        self.pairs.restore(state.contact)
-        self._bonded, self._is_new, self.lost = state.bonded.copy(), False, state.lost
+        put(state, self)
+        self._is_new = False
 
     def past(self) -> ContactPast:
         """Data from which the contact of another set of bodies continues. Call `heat` before."""
-        c, nodes = self.pairs, new_history(len(self._bonded))
+        c, nodes = self.pairs, new_history(len(self.bonded))
         nodes[c.points.node] = c.history
-        return ContactPast(nodes, self.lost, c.friction_heat, c.dropped_energy, c.dropped)
+        return ContactPast(nodes, copied(c.sums))
 
     def continue_from(self, past: ContactPast) -> None:
         """Continue from the contact of the previous set of bodies: keep its friction springs and its energy sums."""
         c = self.pairs
         c.history[:] = past.nodes[c.points.node]
         c.history["body"] = ANY  # the bodies had other numbers
-        self.lost, c.friction_heat, c.dropped_energy, c.dropped = past[1:]
+        c.sums = copied(past.sums)
         c.expire(np.ones(len(c.history), bool))

@@ -9,9 +9,9 @@ import numpy as np
 from ..core import safety
 from ..core.arrays import Floats, Ints, SpringTable
 from ..core.loops import PARTS
-from ..core.records import Shape, assign, collect
+from ..core.records import Shape, Sums, copied, put
 from ..core.threads import together
-from ..errors import CheckpointError, SolverError
+from ..errors import SolverError
 from . import broad, closest
 from . import kernels as k
 from .model import ANY, FACE, HISTORY, Candidates, Nodes, Points, Projections, motion, new_history
@@ -19,18 +19,26 @@ from .model import ANY, FACE, HISTORY, Candidates, Nodes, Points, Projections, m
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
-@dataclass(frozen=True)
-class ContactState:
-    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet passed to the bodies; friction_heat: all so
-    far, J; dropped: points that have lost their contact as too deep so far, dropped_energy: energy of their springs, and of springs
-    of points whose depth has jumped, J."""
+@dataclass
+class ContactSums(Sums):
+    """Sums over the steps so far. J: friction_heat; dropped_energy: of the springs of points that have lost their contact as too deep
+    (dropped: how many), and of springs of points whose depth has jumped; lost: where compression passes from bonds to the contact
+    (gained: negative)."""
 
-    friction_heat: float
-    dropped: int
-    dropped_energy: float
+    friction_heat: float = 0.0
+    dropped_energy: float = 0.0
+    lost: float = 0.0
+    dropped: int = 0
+
+
+@dataclass(eq=False)
+class ContactState:
+    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet passed to the bodies; sums."""
+
     history: Annotated[np.ndarray, Shape(-1, dtype=HISTORY)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
     heat_face: Annotated[np.ndarray, Shape(-1)]
+    sums: ContactSums = field(default_factory=ContactSums)
 
 
 @dataclass
@@ -48,7 +56,7 @@ class _Search:
     point_x: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-class Contact:
+class Contact(ContactState):
     """Points of one or several bodies against the faces of others, with penalty and Coulomb friction (`law`)."""
 
     def __init__(
@@ -72,10 +80,7 @@ class Contact:
         self.points = Points(x, v, f, owner, node, np.full(n, ANY), k_of, h_of, far)
         self.bounds = np.searchsorted(owner, np.arange(bodies + 1))
         self.facing = [np.arange(len(facets))] * bodies if facing is None else facing
-        self.history = new_history(n)
-        self.heat_point, self.heat_face = np.zeros(n), np.zeros(len(facets))
-        self.friction_heat = self.dropped_energy = 0.0
-        self.dropped = 0
+        super().__init__(new_history(n), np.zeros(n), np.zeros(len(facets)))
         #: The points that may touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
         self._candidates = Candidates(
@@ -110,13 +115,11 @@ class Contact:
 
     def state(self) -> ContactState:
         """The history that later steps need, and the energies."""
-        return collect(ContactState, self)
+        return copied(self)
 
     def restore(self, state: ContactState) -> None:
         """Put a `state` into a contact of the same surfaces; call `search` next. Raises CheckpointError where it does not fit."""
-        if len(state.history) != len(self.history) or len(state.heat_face) != len(self.faces):
-            raise CheckpointError("a state does not fit: the contact has other surfaces")
-        assign(self, state)
+        put(state, self)
         self.expire(np.ones(len(self.history), bool))
 
     def expire(self, which: np.ndarray) -> None:
@@ -281,8 +284,8 @@ class Contact:
             k.project, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion,
             self._projections, self.history, lost,
         )  # fmt: skip
-        self.dropped += int(lost[:, 0].sum())
-        self.dropped_energy += float(lost[:, 1].sum())
+        self.sums.dropped += int(lost[:, 0].sum())
+        self.sums.dropped_energy += float(lost[:, 1].sum())
 
     # ---- forces --------------------------------------------------------------------------------------------------
 
@@ -290,7 +293,7 @@ class Contact:
         """Add the contact forces of this instant to points.f and nodes.f, N, from the positions and velocities in both; friction moves
         on by dt s. Of the points, only `rows` are read and written."""
         self._project(self.rows, nodes)
-        self.friction_heat += k.contact_forces(
+        self.sums.friction_heat += k.contact_forces(
             self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._projections, self.history, self.heat_point,
             self.heat_face,
         )  # fmt: skip

@@ -64,7 +64,7 @@ class ParticleBonds:
         point = float(np.bincount(self.bond.nodes, sums[:, 0]).max(initial=0.0))
         node = np.bincount(self.bond.triangles.ravel(), sums[:, 1:].ravel(), len(mass)) / mass
         omega2 = max(point * softness, float(node.max()))
-        return safety.HOLD * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
+        return safety.BONDS * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     def bonded_points(self, xp: np.ndarray) -> BondedPoints:
         """Points at which unbroken springs act, and their laws. xp as for `forces`."""

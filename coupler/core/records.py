@@ -1,14 +1,15 @@
-"""The state of a simulation as records: frozen dataclasses of arrays and numbers, and what is done with all their fields alike.
+"""The state of a simulation as records: dataclasses of arrays and numbers, and what is done with all their fields alike.
 
 A field of a record is an array (annotated with its `Shape` or as `Rows`), a number, a string, another record, None, or a list or
-dict of these. No class keeps a list of names of its own: `collect` and `assign` move the attributes of an object into a record of the
-same names and back, `take`, `concatenate` and `scatter` treat all arrays with a row for each node, element or point.
+dict of these. What has a state derives from its record, as a target from `TargetState`: its attributes are the fields, and a line with
+a field is all that a checkpoint needs. `copied` and `put` save and restore all fields, parts included; `take`, `concatenate` and
+`scatter` treat all arrays with a row for each node, element or point.
 """
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
-from typing import Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
+from typing import Any, Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -16,14 +17,28 @@ from numpy.typing import DTypeLike
 from ..errors import CheckpointError
 
 R = TypeVar("R")
+S = TypeVar("S", bound="Sums")
 
 
 @runtime_checkable
 class Kept(Protocol):
-    """A part of a simulation that gives its state as a record."""
+    """A part of a simulation whose state needs more than to copy fields."""
 
     def state(self) -> object:
         """The state of the part, for a checkpoint."""
+
+    def restore(self, state: Any) -> None:
+        """Put a `state` into the part."""
+
+
+class Sums:
+    """Base of records of sums from a start: those of two times can be added and subtracted, field by field."""
+
+    def __add__(self: S, other: S) -> S:
+        return type(self)(*(vars(self)[name] + value for name, value in vars(other).items()))
+
+    def __sub__(self: S, other: S) -> S:
+        return type(self)(*(vars(self)[name] - value for name, value in vars(other).items()))
 
 
 class Shape:
@@ -86,64 +101,41 @@ def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
     return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
 
 
-def collect(kind: type[R], owner: object, **known: object) -> R:
-    """A record of the attributes of an object, by name; arrays and dicts are copied, parts with a state give theirs.
-
-    known: fields that are not attributes of the object.
-    """
-    values = {f.name: _value(vars(owner)[f.name]) for f in fields(kind) if f.name not in known}  # type: ignore[arg-type]
-    return kind(**values, **known)
-
-
 def arrays_of(record: object) -> dict[str, np.ndarray]:
     """The arrays of a record that have a row for each node, element or point, by name."""
     return {name: vars(record)[name] for name in rows_of(record)}
 
 
 def copied(record: R) -> R:
-    """A copy of a record with arrays of its own."""
-    return replace(record, **{name: array.copy() for name, array in arrays_of(record).items()})  # type: ignore[type-var]
+    """The record that an object is or derives from, with arrays, dicts and parts of its own."""
+    kind = next(each for each in type(record).__mro__ if "__dataclass_fields__" in vars(each))
+    return kind(**{f.name: _copied(vars(record)[f.name]) for f in fields(kind)})
+
+
+def _copied(value: object) -> object:
+    if isinstance(value, (np.ndarray, dict)):
+        return value.copy()
+    if isinstance(value, Kept):
+        return value.state()
+    return copied(value) if is_dataclass(value) else value
 
 
 def put(record: R, into: R) -> None:
-    """Write the arrays of a record into the arrays of another of the same kind. Raises CheckpointError where their shapes differ."""
-    values = arrays_of(record)
-    for name, array in arrays_of(into).items():
-        if values[name].shape != array.shape:
-            raise CheckpointError(
-                f"a state does not fit: {name} has the shape {values[name].shape}, needed {array.shape}"
-            )
-        array[...] = values[name]
-
-
-def _value(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, dict):
-        return dict(value)
-    return value.state() if isinstance(value, Kept) else value
-
-
-def assign(owner: object, record: object) -> None:
-    """Put the arrays, numbers and dicts of a record into the attributes of an object. Other records in it are left to the object.
-
-    Arrays keep their place in memory where their shape is the same. Raises CheckpointError where a shape does not fit.
-    """
-    shapes = shapes_of(record)
+    """Write all fields of a record into those of an object that is such a record or derives from it. Arrays and parts keep their
+    place in memory; an array without rows takes any number of them. None is not written. Raises CheckpointError where a shape does
+    not fit."""
     for name in (f.name for f in fields(record)):  # type: ignore[arg-type]
-        value = vars(record)[name]
-        if name in shapes:
-            own, spec = vars(owner)[name], shapes[name]
-            wanted = (len(own), *spec.shape[1:]) if spec.per_row else spec.shape
-            if value.ndim != len(wanted) or any(n not in (-1, m) for n, m in zip(wanted, value.shape, strict=True)):
-                raise CheckpointError(f"a state does not fit: {name} has the shape {value.shape}, needed {own.shape}")
-            if own.shape == value.shape:
-                own[...] = value
-                continue
-            value = np.array(value, own.dtype)
-        elif is_dataclass(value) or value is None:
-            continue
-        setattr(owner, name, dict(value) if isinstance(value, dict) else value)
+        value, own = vars(record)[name], vars(into)[name]
+        if isinstance(value, np.ndarray) and value.shape == own.shape:
+            own[...] = value
+        elif isinstance(value, np.ndarray) and (len(own) or value.shape[1:] != own.shape[1:]):
+            raise CheckpointError(f"a state does not fit: {name} has the shape {value.shape}, needed {own.shape}")
+        elif is_dataclass(value) and isinstance(own, Kept):
+            own.restore(value)
+        elif is_dataclass(value):
+            put(value, own)
+        elif value is not None:
+            setattr(into, name, _copied(value))
 
 
 def take(record: R, index: np.ndarray) -> R:

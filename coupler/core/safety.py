@@ -17,7 +17,7 @@ ELEMENTS = 0.85
 MESH = 0.85
 LONGEST = 3.0
 # Bonds between particle and target (`contact.particle_bonds`): row sums of their stiffness are a bound, masses and ends do not change.
-HOLD = 0.9
+BONDS = 0.9
 # Springs of the contact: a point bears one to a second body too, where its mass is at least 0.78 of the lightest node's.
 CONTACT = 0.8
 # Bodies that move on after they have been brought to equilibrium (`target.equilibrium`): the step is kept between two searches.

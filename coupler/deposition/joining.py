@@ -89,7 +89,7 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
 
 def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tuple[Bodies, Values]:
     """The bodies with the splat of impact i, not in equilibrium, and a report."""
-    domains, hold = outcome.domains, outcome.hold
+    domains, bonds = outcome.domains, outcome.bonds
     cloud, particle = cloud_of(domains), domains.particle
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     states = [
@@ -99,7 +99,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
         )
         for b in splat.bodies
     ]  # fmt: skip
-    bonded = hold.bonded_points(domains.surface.contacts(particle.x)) if hold is not None else None
+    bonded = bonds.bonded_points(domains.surface.contacts(particle.x)) if bonds is not None else None
     ratio = plan.impacts[i].velocity_ratio
     new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded)
     return new, {

@@ -7,7 +7,7 @@ The step is that of LAMMPS (kick half, drift, forces, kick half), divided where 
     target.finish()             boundary forces, work of all forces over the step
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from ..core import safety
 from ..core.arrays import occurring
 from ..core.loops import PARTS
-from ..core.records import Shape, assign, check_indices, collect, copied, new_rows, put
+from ..core.records import Shape, check_indices, copied, new_rows, put
 from ..core.threads import share, together
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
@@ -36,47 +36,53 @@ AHEAD = 1.5  # speed of the front of what is computed over that of sound
 LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class TargetState:
     """State from which a target continues with the same numbers; the mesh is not part of it.
 
     force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
     the dashpots; support (3,) N: from outside; dt_last s; reach, horizon m; least_mass kg; active_nodes, active_elements: how many are
-    computed. edge: of a window, where that is elastic.
+    computed. edge: of a window, where that is elastic. rest_scale: how much the half-space round the target has contracted.
     """
 
     nodes: NodeState
     elements: ElementState
-    conduction: ConductionState | None
-    highest: FrequencyState | None
-    edge: EdgeState | None
-    inertia: InertiaState
-    balance: Balance
-    dt_last: float
-    reach: float
-    horizon: float
-    least_mass: float
-    active_nodes: int
-    active_elements: int
     force_suffix_sum: Annotated[np.ndarray, Shape(-1, 3)]
     drag: Annotated[np.ndarray, Shape(-1, 3)]
-    support: Annotated[np.ndarray, Shape(3)]
+    inertia: InertiaState
+    conduction: ConductionState | None = None
+    highest: FrequencyState | None = None
+    edge: EdgeState | None = None
+    support: Annotated[np.ndarray, Shape(3)] = field(default_factory=lambda: np.zeros(3))
+    balance: Balance = field(default_factory=Balance)
+    dt_last: float = 0.0
+    reach: float = np.inf
+    horizon: float = np.inf
+    least_mass: float = 0.0
+    rest_scale: float = 1.0
+    active_nodes: int = 0
+    active_elements: int = 0
 
 
-class Target:
+class Target(TargetState):
     """State and motion of one finite-element domain.
 
     nodes, elements: its state (`fe.state`), whose arrays kernels change in place. f_ext (n,3) N. SI units. Nodes and elements are
     numbered outwards from the point of impact, or from the nearest of several, and only the first `active_nodes`, `active_elements` of
     them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `set_window`) or the `limit` (m, see
     `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
-    balance: energies so far. rest_scale: how much the half-space round the target has contracted, 1 at the start.
+    balance: energies so far.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
     not expand, nor do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one
     material.
     """
+
+    conduction: Conduction | None
+    highest: HighestFrequency | None
+    edge: Edge | None
+    inertia: ElementInertia
 
     def __init__(
         self, mesh: TetMesh, laws: np.ndarray, temperature: float | np.ndarray, law_of: np.ndarray | None = None,
@@ -100,30 +106,23 @@ class Target:
         self._of_flow = self.metals._replace(laws=specialised(self.laws, FLOW))
         T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
         sigma_y = yield_stresses(self.laws, self.law_of, np.zeros(m), T, np.zeros((m, 3)))
-        self.nodes = new_rows(NodeState, n, x=mesh.points.copy())
-        self.elements = new_rows(ElementState, m, volume=mesh.V0.copy(), T=T, sigma_y=sigma_y)
-        self.f_ext, self.dt_of = np.zeros((n, 3)), np.zeros(m)
-        self.conduction = Conduction(n, m) if conduction else None
-        self.inertia = ElementInertia()
-        self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = nodes_of(mesh, fixed)
-        self.horizon = self.limit = np.inf
-        self.edge: Edge | None = None
-        self.least_mass = 0.0
-        self._weigh()
         self.dashpot_nodes, self.dashpot = dashpots(
             mesh, self.laws, self.law_of, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
         )
         self.spring_nodes, self.springs = foundation(mesh, self.laws["G"][self.law_of])
-        self.rest_scale = 1.0
-        self.balance, self.dt_last, self.support = Balance(), 0.0, np.zeros(3)
-        self.drag = np.zeros((len(self.dashpot_nodes), 3))
-        self._highest: HighestFrequency | None = None
+        super().__init__(
+            new_rows(NodeState, n, x=mesh.points.copy()),
+            new_rows(ElementState, m, volume=mesh.V0.copy(), T=T, sigma_y=sigma_y),
+            np.zeros((n + 1, 3)), np.zeros((len(self.dashpot_nodes), 3)), ElementInertia(), Conduction(n, m) if conduction else None,
+        )  # fmt: skip
+        self.f_ext, self.dt_of, self.limit = np.zeros((n, 3)), np.zeros(m), np.inf
+        self._weigh()
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
-        self.reach = np.inf if not track_wave else 16.0 * edge  # the numerical front runs a little ahead of the wave
-        self.active_nodes = self.active_elements = 0
+        if track_wave:
+            self.reach = 16.0 * edge  # the numerical front runs a little ahead of the wave
         #: (m+1,): how many nodes the first elements reach up to
         self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
@@ -181,7 +180,7 @@ class Target:
             damping = (rate * self.mass[nodes])[:, None, None] * np.eye(3)
         else:
             among = np.setdiff1d(beyond, np.union1d(self.fixed, self.spring_nodes))
-            self.edge = Edge.of(self, m, among, origin, rest)
+            self.edge = Edge(self, m, among, origin, rest)
             beyond, nodes, damping = np.setdiff1d(beyond, self.edge.nodes), self.edge.nodes, self.edge.damping
         self.fixed = np.union1d(self.fixed, beyond)
         self.inv_mass[self.fixed] = 0.0
@@ -239,9 +238,9 @@ class Target:
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
         dt = safety.ELEMENTS * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
-            if self._highest is None:
-                self._highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
-            dt = max(dt, self._highest.longest_step(self, bound, n, e, springs, self.inertia))
+            if self.highest is None:
+                self.highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
+            dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:
@@ -323,10 +322,7 @@ class Target:
 
     def state(self) -> TargetState:
         """State from which the target continues with the same numbers. The mesh is not part of it."""
-        return collect(
-            TargetState, self, nodes=copied(self.nodes), elements=copied(self.elements), balance=collect(Balance, self.balance),
-            highest=self._highest and self._highest.state(), edge=self.edge and self.edge.state(),
-        )  # fmt: skip
+        return copied(self)
 
     def restore(self, state: TargetState) -> None:
         """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
@@ -337,28 +333,23 @@ class Target:
         self._weigh()
         if state.horizon != self.horizon:
             self.set_window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
-        if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
+        if len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
-        assign(self, state)
-        self.balance = collect(Balance, state.balance)
-        put(state.nodes, self.nodes)
-        put(state.elements, self.elements)
         check_indices(state.inertia, nodes=n)
-        self.inertia.restore(state.inertia)
-        if self.edge is not None:
-            self.edge = self.edge.loaded(self, self._active_counts(np.inf)[1])
+        if len(state.inertia.taken) != len(state.inertia.last):
+            raise CheckpointError("a state does not fit: the forces of scaled elements are those of other nodes")
         if (self.conduction is None) != (state.conduction is None):
             raise CheckpointError("a state does not fit: heat is conducted in one of target and state")
-        if self.conduction is not None and state.conduction is not None:
-            self.conduction.restore(state.conduction)
         if state.highest is not None:
-            self._highest = HighestFrequency(n, m)
-            self._highest.restore(state.highest)
+            self.highest = HighestFrequency(n, m)
+        put(state, self)
+        if self.edge is not None:
+            self.edge.load(self, self._active_counts(np.inf)[1])
 
     def start_from(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
         """Start from the state of nodes and elements (`target.domain`); the balance continues from that of `before`."""
         self.nodes, self.elements = nodes, elements
-        self.balance, self.rest_scale = collect(Balance, before.balance), before.rest_scale
+        self.balance, self.rest_scale = copied(before.balance), before.rest_scale
         self._store_inactive_forces()
 
     def rest(self) -> None:

@@ -20,9 +20,8 @@ from ..compiling import njit
 from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.loops import PARTS, ranges
-from ..core.records import Shape, assign, collect
+from ..core.records import Shape
 from ..core.threads import together
-from ..errors import CheckpointError
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
@@ -32,19 +31,19 @@ EVERY = 10  # mechanical steps to one of conduction: about its own stable step i
 LEAST = 4000  # elements or nodes in a range of a loop that threads share
 
 
-@dataclass
+@dataclass(eq=False)
 class ConductionState:
-    """Record of the conduction over n nodes and m elements. known_elements: the first ones, whose nodes have a temperature; elapsed s
-    since the last conduction and steps since the start; last (m,) K: temperatures of the elements after the last conduction; of the
-    nodes capacity (n,) J/K, T (n,) K, and known (n,): whether a node has a temperature."""
+    """Record of the conduction over n nodes and m elements. last (m,) K: temperatures of the elements after the last conduction; of the
+    nodes capacity (n,) J/K, T (n,) K, and known (n,): whether a node has a temperature; known_elements: the first ones, whose nodes
+    have one; elapsed s since the last conduction and steps since the start."""
 
-    known_elements: int
-    elapsed: float
-    steps: int
     last: Annotated[np.ndarray, Shape(-1)]
     capacity: Annotated[np.ndarray, Shape(-1)]
     T: Annotated[np.ndarray, Shape(-1)]
     known: Annotated[np.ndarray, Shape(-1, dtype=bool)]
+    known_elements: int = 0
+    elapsed: float = 0.0
+    steps: int = 0
 
 
 class Flow(NamedTuple):
@@ -63,32 +62,22 @@ class Flow(NamedTuple):
     change: Floats
 
 
-class Conduction:
-    """Conduction over the elements of one target of n nodes and m elements; record: what later calls need of it. A node gets its
-    temperature from the elements when it is first active."""
+class Conduction(ConductionState):
+    """Conduction over the elements of one target of n nodes and m elements. A node gets its temperature from the elements when it is
+    first active."""
 
     def __init__(self, n: int, m: int):
-        r = self.record = ConductionState(0, 0.0, 0, np.zeros(m), np.zeros(n), np.zeros(n), np.zeros(n, bool))
+        super().__init__(np.zeros(m), np.zeros(n), np.zeros(n), np.zeros(n, bool))
         share, rate, own, gain, flow = *np.zeros((4, m)), np.zeros((m, 4))
-        self.arrays = Flow(share, rate, flow, own, gain, r.last, r.capacity, r.T, np.zeros(n), np.zeros(n))
-
-    def state(self) -> ConductionState:
-        """A copy of the record."""
-        return collect(ConductionState, self.record)
-
-    def restore(self, state: ConductionState) -> None:
-        """Put a `state` into the conduction of the same mesh. Raises CheckpointError where it does not fit."""
-        if len(state.T) != len(self.record.T) or len(state.last) != len(self.record.last):
-            raise CheckpointError("a state does not fit: heat is conducted between other nodes or elements")
-        assign(self.record, state)
+        self.arrays = Flow(share, rate, flow, own, gain, self.last, self.capacity, self.T, np.zeros(n), np.zeros(n))
 
     def advance(self, dt: float, t: FiniteElements) -> None:
         """Note a mechanical step of dt (s); in every EVERY-th conduct over all the time since the last."""
-        self.record.elapsed += dt
-        self.record.steps += 1
-        if self.record.steps % EVERY == 0:
-            self.conduct_for(self.record.elapsed, t)
-            self.record.elapsed = 0.0
+        self.elapsed += dt
+        self.steps += 1
+        if self.steps % EVERY == 0:
+            self.conduct_for(self.elapsed, t)
+            self.elapsed = 0.0
 
     def conduct_for(self, time: float, t: FiniteElements) -> None:
         """Conduct among the active elements, whose boundary is adiabatic, for a time (s) in as many stable steps as it takes.
@@ -107,18 +96,17 @@ class Conduction:
 
     def _sync_nodes(self, t: FiniteElements) -> None:
         """Add to the nodes the rise of temperature of their elements since the last call."""
-        n, m, r, a = t.active_nodes, t.active_elements, self.record, self.arrays
-        known = r.known_elements
-        a.own[:known] = t.elements.T[:known] - r.last[:known]
+        n, m, a, known = t.active_nodes, t.active_elements, self.arrays, self.known_elements
+        a.own[:known] = t.elements.T[:known] - self.last[:known]
         a.own[known:m] = 0.0
         together(_averages, n, m, t.cells, t.metals, t.elements.T, a.own, a)
-        r.T[:n] += a.mean[:n]
+        self.T[:n] += a.mean[:n]
         if m > known:
             together(_averages, n, m, t.cells, t.metals, t.elements.T, t.elements.T, a)
-            fresh = (r.capacity > 0.0) & ~r.known
-            r.T[fresh] = a.mean[fresh]
-            r.known |= fresh
-            r.known_elements = m
+            fresh = (self.capacity > 0.0) & ~self.known
+            self.T[fresh] = a.mean[fresh]
+            self.known |= fresh
+            self.known_elements = m
 
     def flows(self, t: FiniteElements) -> float:
         """Heat that flows between nodes, W, into arrays.flow; returns the fastest rate of an element, 1/s."""

@@ -10,54 +10,42 @@ included, is slower. An element with a step of its own t_e bears the step T with
 scaled elements alone. What the added inertia takes from the forces' work is numerical dissipation in the ledger.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 
 from ..core.records import Shape
-from ..errors import CheckpointError
 from .mesh import FiniteElements
 
 MOST = 150  # elements: the matrix of their nodes is inverted in each window
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class InertiaState:
-    """most kg: mass that may be added; nodes (k,); taken (k,3) N: reduction of their forces in the last step."""
+    """most kg: mass that may be added; last (k,): nodes of the last step; taken (k,3) N: reduction of their forces in it."""
 
-    most: float
-    nodes: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]
-    taken: Annotated[np.ndarray, Shape(-1, 3)]
+    most: float = 0.0
+    last: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")] = field(
+        default_factory=lambda: np.zeros(0, np.int64)
+    )
+    taken: Annotated[np.ndarray, Shape(-1, 3)] = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-class ElementInertia:
-    """The scaled elements of one target in one window of steps.
+class ElementInertia(InertiaState):
+    """The scaled elements of one target in one window of steps; they are chosen before its first step.
 
     most kg: mass that may be added to elements, sum of (T / t_e)^2 - 1 times m_e; 0 for none. factor (s,): (T / t_e)^2 of each of the
     `elements` (s,), nodes (k,): theirs.
     """
 
     def __init__(self) -> None:
-        self.most = 0.0
+        super().__init__()
         self.elements: np.ndarray = np.zeros(0, np.int64)
         self.factor = np.ones(0)
         self.nodes: np.ndarray = np.zeros(0, np.int64)
-        self.taken = np.zeros((0, 3))
-        self._last: np.ndarray = self.nodes  # those of `taken`
         self._corners: np.ndarray = np.zeros((0, 4), np.int64)
         self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are free
-
-    def state(self) -> InertiaState:
-        """State for the next step: elements are chosen again before it."""
-        return InertiaState(self.most, self._last.copy(), self.taken.copy())
-
-    def restore(self, state: InertiaState) -> None:
-        """Put a `state` into the inertia of the same target; elements are chosen before the next step. Raises CheckpointError where its
-        arrays do not fit each other."""
-        if len(state.taken) != len(state.nodes):
-            raise CheckpointError("a state does not fit: the forces of scaled elements are those of other nodes")
-        self.most, self._last, self.taken = state.most, state.nodes.copy(), state.taken.copy()
 
     def choose(self, t: FiniteElements, safe: np.ndarray, step: float) -> None:
         """Choose elements so that each bears `step` s, as far as `most` allows. safe (e,): own steps s of the first e elements, which
@@ -99,14 +87,14 @@ class ElementInertia:
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
         """`slow` the forces total (n,3) N of all that acts on the first n nodes, which move, at the end of a step of dt s. Returns what
         it took from their work in the step, J, and from their sum, (3,) N: fixed nodes have it."""
-        work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self._last]))
+        work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))
         before = total[self.nodes]
         moving = self.nodes < n
         before[~moving] = 0.0
         after = np.where(moving[:, None], self._share @ before, 0.0) if len(before) else before
         total[self.nodes[moving]] = after[moving]
-        self.taken, self._last = before - after, self.nodes
-        work += float(np.einsum("ij,ij->", self.taken, t.nodes.v[self._last]))
+        self.taken, self.last = before - after, self.nodes
+        work += float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))
         return 0.5 * dt * work, self.taken.sum(axis=0)
 
     def twice_kinetic(self, v: np.ndarray) -> float:

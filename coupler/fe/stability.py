@@ -16,7 +16,7 @@ from ..compiling import njit
 from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
-from ..core.records import Shape
+from ..core.records import Shape, copied, put
 from ..core.threads import share, together
 from ..errors import CheckpointError
 from ..geometry.tetrahedra import lumped
@@ -123,15 +123,15 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     return lumped(conn, mass, len(t.nodes.x))
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class FrequencyState:
-    """w (n,3): the vector of the power iteration; warm: whether it has been iterated; known: how many nodes had a part in it; random:
-    state of the generator."""
+    """w (n,3): the vector of the power iteration; random: state of the generator; warm: whether w has been iterated; known: how many
+    nodes have had a part in it."""
 
-    warm: bool
-    known: int
-    random: dict[str, object]
     w: Annotated[np.ndarray, Shape(-1, 3)]
+    random: dict[str, object]
+    warm: bool = False
+    known: int = 0
 
 
 class Springs(Protocol):
@@ -143,28 +143,28 @@ class Springs(Protocol):
     def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None: ...
 
 
-class HighestFrequency:
+class HighestFrequency(FrequencyState):
     """Power iteration on one target; keeps its vector between calls."""
 
     def __init__(self, nodes: int, elements: int):
         self._random = np.random.default_rng(1)
-        (w, f), dp = np.zeros((2, nodes, 3)), np.zeros(nodes)
-        self._r = Response(w, np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
-        self._warm = False
-        self._known = 0  # nodes that had a part in the vector so far
+        super().__init__(np.zeros((nodes, 3)), dict(self._random.bit_generator.state))
+        dp, f = np.zeros(nodes), np.zeros((nodes, 3))
+        self._r = Response(self.w, np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
         self._elements = 0  # those of the last call
 
     def state(self) -> FrequencyState:
         """The vector as it is, and the random numbers to come."""
-        return FrequencyState(self._warm, self._known, dict(self._random.bit_generator.state), self._r.w.copy())
+        self.random = dict(self._random.bit_generator.state)
+        return copied(self)
 
     def restore(self, state: FrequencyState) -> None:
         """Put a `state` into the iteration of the same target. Raises CheckpointError where it does not fit."""
-        if len(state.w) != len(self._r.w) or not 0 <= state.known <= len(self._r.w):
+        put(state, self)
+        if not 0 <= self.known <= len(self.w):
             raise CheckpointError("a state does not fit: the vector of the highest frequency has another length")
-        self._r.w[:], self._warm, self._known = state.w, state.warm, state.known
         try:
-            self._random.bit_generator.state = state.random
+            self._random.bit_generator.state = self.random
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
@@ -183,18 +183,18 @@ class HighestFrequency:
         for of_element in (self._r.dv, self._r.fe):  # those that are no longer active have no part in it
             of_element[m : self._elements] = 0.0
         self._elements = m
-        size = float(np.sqrt(np.mean(w * w))) if self._warm else 0.0
-        if not self._warm:
+        size = float(np.sqrt(np.mean(w * w))) if self.warm else 0.0
+        if not self.warm:
             w[:] = self._random.standard_normal((n, 3))
             size = 1.0
-        elif n > self._known:  # nodes that have become active since may have the fastest mode
-            w[self._known : n] = size * self._random.standard_normal((n - self._known, 3))
-        self._known = max(self._known, n)
+        elif n > self.known:  # nodes that have become active since may have the fastest mode
+            w[self.known : n] = size * self._random.standard_normal((n - self.known, 3))
+        self.known = max(self.known, n)
         worst = np.argpartition(t.dt_of[:m], min(PERTURBED_ELEMENTS, m - 1))[:PERTURBED_ELEMENTS]
         near = np.unique(mesh.conn[worst])
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))
         omega2 = 0.0
-        for _ in range(4 if self._warm else 25):
+        for _ in range(4 if self.warm else 25):
             w *= (inverse[:n] > 0)[:, None]
             before = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             together(_resist, n, m, t.nodes.x, t.nodes.J, t.cells, t.metals, self._r)
@@ -205,5 +205,5 @@ class HighestFrequency:
             after = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             omega2 = np.sqrt(after / before)
             w *= 1.0 / np.sqrt(after / mass[:n].sum())
-        self._warm = True
+        self.warm = True
         return float(min(max(safety.MESH * 2.0 / np.sqrt(omega2), bound), safety.LONGEST * bound))

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ..core.records import Rows, Shape
+from ..core.records import Rows, Shape, Sums
 from ..physics.metal import MetalState
 
 
@@ -43,7 +43,7 @@ class ElementState(MetalState):
 
 
 @dataclass
-class Balance:
+class Balance(Sums):
     """Energy balance of a target, J, from its start: plastic work; numerical dissipation, the work of the bulk viscosity with what the
     inertia of scaled elements has taken; heat put into the nodes' energy; internal work; energy absorbed at boundaries. impulse (3,)
     N s: from outside; time s."""
@@ -56,14 +56,8 @@ class Balance:
     time: float = 0.0
     impulse: Annotated[np.ndarray, Shape(3)] = field(default_factory=lambda: np.zeros(3))
 
-    def __add__(self, other: "Balance") -> "Balance":
-        return Balance(*(vars(self)[name] + value for name, value in vars(other).items()))
 
-    def __sub__(self, other: "Balance") -> "Balance":
-        return Balance(*(vars(self)[name] - value for name, value in vars(other).items()))
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class EdgeState:
     """State of an elastic boundary (`fe.window.Edge`): origin (3,) m; rest (k,3) m: rest positions of its nodes."""
 

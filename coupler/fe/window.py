@@ -5,8 +5,6 @@ have springs and dashpots, which replace the elements beyond it (`Edge`). In a r
 takes velocity away, with a rate that grows with the square of the depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from ..geometry.tetrahedra import boundary_faces
@@ -35,27 +33,18 @@ def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[
     return inside, ABSORBED * wave_speed / thickness * np.minimum(depth[inside], 1.0) ** 2
 
 
-@dataclass(frozen=True)
-class Edge:
+class Edge(EdgeState):
     """Springs and dashpots at the edge of a window, for waves and static displacements of a source at `origin` (3,) m.
 
     A viscous-spring boundary (Deeks & Randolph 1994, J. Eng. Mech. 120, 25; Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93): on each
     area of a sphere of radius R stiffness NORMAL G / R along the radius and half of that across it, damping rho c_p and rho c_s. nodes
     (k,); rest (k,3) m: where they are at rest; origin (3,) m; stiffness (k,3,3) N/m; damping (k,3,3) kg/s;
-    load (k,3) N: static force of the elements beyond.
+    static (k,3) N: force of the elements beyond.
     """
 
-    nodes: np.ndarray
-    rest: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    load: np.ndarray
-    origin: np.ndarray
-
-    @classmethod
-    def of(
-        cls, t: FiniteElements, elements: int, among: np.ndarray, origin: np.ndarray, rest: np.ndarray | None = None
-    ) -> "Edge":
+    def __init__(
+        self, t: FiniteElements, elements: int, among: np.ndarray, origin: np.ndarray, rest: np.ndarray | None = None
+    ):
         """The edge of the first `elements` of a target, at those nodes `among` (a,) that have a facet there. rest (k,3) m: where its
         nodes are at rest, if that is not where they are."""
         n = len(t.nodes.x)
@@ -80,18 +69,15 @@ class Edge:
         matrices[:, np.bincount(faces.T.ravel(), np.tile(area, 3), n) <= 0.0] = (
             0.0  # nodes that the sphere does not pass
         )
-        spring, dashpot = matrices[:, nodes]
-        return cls(nodes, x[nodes], spring, dashpot, np.zeros((len(nodes), 3)), origin).loaded(t, elements)
+        super().__init__(origin, x[nodes])
+        self.nodes, (self.stiffness, self.damping) = nodes, matrices[:, nodes]
+        self.load(t, elements)
 
-    def loaded(self, t: FiniteElements, elements: int) -> "Edge":
-        """The same edge with the present forces of the elements beyond the first `elements`."""
-        load = np.zeros((len(t.nodes.x), 3))
-        np.add.at(load, t.mesh.conn[elements:].ravel(), t.elements.fe[elements:].reshape(-1, 3))
-        return replace(self, load=load[self.nodes])
-
-    def state(self) -> EdgeState:
-        """State from which `of` makes the same edge again."""
-        return EdgeState(self.origin, self.rest)
+    def load(self, t: FiniteElements, elements: int) -> None:
+        """Take the present forces of the elements beyond the first `elements` for those of a target at rest."""
+        forces = np.zeros((len(t.nodes.x), 3))
+        np.add.at(forces, t.mesh.conn[elements:].ravel(), t.elements.fe[elements:].reshape(-1, 3))
+        self.static = forces[self.nodes]
 
     def pull(self, x: np.ndarray) -> np.ndarray:
         """Forces (k,3) N of the springs where the nodes are at x (N,3) m."""
@@ -100,7 +86,7 @@ class Edge:
     def energy(self, x: np.ndarray) -> float:
         """Energy of the springs less the work of the static forces beyond the edge, J."""
         u = x[self.nodes] - self.rest
-        return float(0.5 * np.einsum("ai,aij,aj->", u, self.stiffness, u) - np.einsum("ai,ai->", self.load, u))
+        return float(0.5 * np.einsum("ai,aij,aj->", u, self.stiffness, u) - np.einsum("ai,ai->", self.static, u))
 
 
 def _keys(faces: np.ndarray, n: int) -> np.ndarray:

@@ -5,7 +5,7 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated
 
@@ -16,7 +16,7 @@ from ..contact.bond import Bond
 from ..contact.contact import ContactState
 from ..contact.model import Nodes
 from ..contact.particle_bonds import SECURE, ParticleBonds
-from ..core.records import Shape, assign, check_indices, collect
+from ..core.records import Shape, check_indices, copied, put
 from ..errors import CheckpointError, SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
@@ -37,6 +37,17 @@ APPROACH = 0.5  # spacings that a point may move in a chunk of steps, in which i
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 
+@dataclass(eq=False)
+class Course:
+    """time s of an impact; force (3,) N on the particle; deepest: largest penetration so far, m; limits: how many steps each of
+    particle, target and contact has limited."""
+
+    time: float = 0.0
+    deepest: float = 0.0
+    limits: dict[str, int] = field(default_factory=lambda: {"particle": 0, "target": 0, "contact": 0})
+    force: Annotated[np.ndarray, Shape(3)] = field(default_factory=lambda: np.zeros(3))
+
+
 @dataclass(frozen=True)
 class ImpactState:
     """State of the two domains and of the contact between them; other fields as in `Impact`."""
@@ -46,34 +57,27 @@ class ImpactState:
     contact: ContactState
     folding: ContactState | None
     ledger: Ledger
-    hold: Bond | None
-    time: float
-    deepest: float
-    limits: dict[str, int]
-    force: Annotated[np.ndarray, Shape(3)]
+    bonds: Bond | None
     exposure: Exposure | None
+    course: Course
 
 
-class Impact:
+class Impact(Course):
     """One particle meeting one target, of one body or several.
 
-    They touch where the particle's carried surface meets the target's facets. time s; force (3,) N on the particle; deepest:
-    largest penetration so far, m; limits: how many steps each of particle, target and contact has limited; hold: bonds of the
-    particle, or None; dt_factor: on the stable time step, below 1 after a retry.
+    They touch where the particle's carried surface meets the target's facets. bonds: of the particle, or None; dt_factor: on the
+    stable time step, below 1 after a retry.
     """
 
     def __init__(self, domains: Domains):
+        super().__init__()
         self.domains = domains
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
         self.surface, self.contact, self.folding = domains.surface, domains.contact, domains.folding
         self._softness = self.surface.softness(self.particle.mass)
         self.surface_nodes = np.unique(self.target.mesh.facets[self.contact.facing[0]])
         self.ledger = Ledger.begin(domains)
-        self.time = 0.0
-        self.force = np.zeros(3)
-        self.deepest = 0.0
-        self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
-        self.hold: ParticleBonds | None = None
+        self.bonds: ParticleBonds | None = None
         self.exposure: Exposure | None = None
         self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
@@ -93,11 +97,11 @@ class Impact:
     def grip(self) -> Grip:
         """How bonds hold the particle: by the energy that they can absorb over the energy left to break them, which is the kinetic
         energy of the centre of mass normal to the surface plus the energy stored in the bonds."""
-        if self.hold is None or self.hold.bond.broken.all():
+        if self.bonds is None or self.bonds.bond.broken.all():
             return "free"
-        if self.sinking < 0.0 and self.hold.gives_way(self.normal_energy):
+        if self.sinking < 0.0 and self.bonds.gives_way(self.normal_energy):
             return "free"
-        ratio = self.hold.resistance / max(self.normal_energy + self.hold.bond.stored, 1e-300)
+        ratio = self.bonds.resistance / max(self.normal_energy + self.bonds.bond.stored, 1e-300)
         return "failing" if ratio <= 1.0 else "held" if ratio < SECURE else "secure"
 
     @property
@@ -108,8 +112,8 @@ class Impact:
     @property
     def dissipated(self) -> float:
         """Plastic work and heat of friction so far, J, including the amounts of the target before the impact."""
-        rubbed = 0.0 if self.folding is None else self.folding.contact.friction_heat
-        return self.particle.totals.plastic + self.target.balance.plastic + self.contact.friction_heat + rubbed
+        rubbed = 0.0 if self.folding is None else self.folding.contact.sums.friction_heat
+        return self.particle.totals.plastic + self.target.balance.plastic + self.contact.sums.friction_heat + rubbed
 
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
@@ -125,8 +129,8 @@ class Impact:
         }
         if self.folding is not None:
             bounds["contact"] = min(bounds["contact"], self.folding.stable_dt(self.particle.mass))
-        if self.hold is not None:
-            bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
+        if self.bonds is not None:
+            bounds["contact"] = min(bounds["contact"], self.bonds.stable_dt(self._softness, self.target.mass))
         least = min(bounds.values())
         bounds["target"] = self.bodies.stable_dt(least, CHUNK * least)
         who = min(bounds, key=lambda name: bounds[name])
@@ -144,7 +148,7 @@ class Impact:
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""
         travel = 1.5 * self._fastest() * time
-        bonded = self.hold.bond.nodes if self.hold is not None else ()
+        bonded = self.bonds.bond.nodes if self.bonds is not None else ()
         self.contact.search(self.surface.contacts(self.particle.x), self.target.nodes.x, travel, always=bonded)
         self.contact.points.f[:] = 0.0
         if self.folding is not None:
@@ -173,8 +177,8 @@ class Impact:
         points.f[rows] = 0.0
         s.moving_contacts(p.x, p.v, rows, points.x, points.v)
         self.contact.forces(dt, Nodes(t.nodes.x, t.nodes.v, t.f_ext, len(t.nodes.x)))
-        if self.hold is not None:
-            self.hold.forces(points.x, t.nodes.x, points.f, t.f_ext, self.contact)
+        if self.bonds is not None:
+            self.bonds.forces(points.x, t.nodes.x, points.f, t.f_ext, self.contact)
         s.spread(points.f, rows, p.f_ext)
         if self.folding is not None:
             self.folding.forces(p)
@@ -195,14 +199,14 @@ class Impact:
         then fresh metal welds as it slides.
         Of both sides the larger strain counts. Raises SolverError where strength and energy make no bond.
         """
-        if self.hold is not None and self.exposure is not None:
-            again = self.exposure.extruding[self.hold.bond.nodes]
+        if self.bonds is not None and self.exposure is not None:
+            again = self.exposure.extruding[self.bonds.bond.nodes]
             if again.any():
-                self.hold.bond.drop(again)
-                self.hold = ParticleBonds(self.hold.bond, *self._rings)
+                self.bonds.bond.drop(again)
+                self.bonds = ParticleBonds(self.bonds.bond, *self._rings)
         chosen = touching.pressed
-        if self.hold is not None:
-            chosen &= ~np.isin(touching.rows, self.hold.bond.nodes)
+        if self.bonds is not None:
+            chosen &= ~np.isin(touching.rows, self.bonds.bond.nodes)
         if chosen.any():
             chosen &= self._meets_criterion(plan, impact_plan, touching)
         if not chosen.any():
@@ -218,7 +222,7 @@ class Impact:
         later = Bond.tie(
             rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law, loose=True
         )
-        self.hold = ParticleBonds(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
+        self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
         """Mask (k,) of the touching vertices that bond by the criterion."""
@@ -253,7 +257,11 @@ class Impact:
 
     def state(self) -> ImpactState:
         """State of the impact, from which it continues with the same numbers."""
-        return collect(ImpactState, self)
+        return ImpactState(
+            self.bodies.state(), self.particle.state(), self.contact.state(),
+            self.folding.state() if self.folding is not None else None, self.ledger,
+            self.bonds.state() if self.bonds is not None else None, self.exposure, copied(self),
+        )  # fmt: skip
 
     def restore(self, state: ImpactState) -> None:
         """Put a `state` into an impact of the same plan that was just built on its bodies.
@@ -264,10 +272,10 @@ class Impact:
         self.contact.restore(state.contact)
         if self.folding is not None and state.folding is not None:
             self.folding.contact.restore(state.folding)
-        assign(self, state)
-        self.ledger, self.exposure, self.hold = state.ledger, state.exposure, None
+        put(state.course, self)
+        self.ledger, self.exposure, self.bonds = state.ledger, state.exposure, None
         if self.exposure is not None and len(self.exposure.clean) != self.surface.weights.shape[0]:
             raise CheckpointError("a state does not fit: the particle has another surface")
-        if state.hold is not None:
-            check_indices(state.hold, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
-            self.hold = ParticleBonds(state.hold, *self._rings)
+        if state.bonds is not None:
+            check_indices(state.bonds, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
+            self.bonds = ParticleBonds(state.bonds, *self._rings)

@@ -40,7 +40,7 @@ class HeatPaths:
                 self._warm_surface(rows, -heat)
                 self.target.warm(elements, heat)
 
-    def release(self, hold: ParticleBonds | None) -> None:
+    def release(self, bonds: ParticleBonds | None) -> None:
         """Turn the heat of friction, and of torn bonds, since the last call into temperature, of points and of the elements behind
         facets. The particle gets the contact's `share` of the heat of bonds."""
         if not self.friction:
@@ -55,9 +55,9 @@ class HeatPaths:
             contact.heat_face[facets] = 0.0
         if self.folding is not None and (heat := self.folding.heat()).any():
             self.particle.warm(heat)
-        if hold is not None and (heat := hold.bond.heat()).any():
-            self._warm_surface(hold.bond.nodes, contact.share * heat)
-            target.warm_around(hold.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
+        if bonds is not None and (heat := bonds.bond.heat()).any():
+            self._warm_surface(bonds.bond.nodes, contact.share * heat)
+            target.warm_around(bonds.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
 
     def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (k,) J at rows (k,) of the particle's surface into its points."""

@@ -51,12 +51,12 @@ class Ledger:
         scale, before = float(np.linalg.norm(momentum)), _terms(domains, None)
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
-    def update(self, domains: Domains, hold: ParticleBonds | None = None) -> dict[str, float]:
+    def update(self, domains: Domains, bonds: ParticleBonds | None = None) -> dict[str, float]:
         """Energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum) of this instant.
 
-        hold: the bond of the particle to the target, None without one.
+        bonds: the bond of the particle to the target, None without one.
         """
-        r, target = _terms(domains, hold), domains.target
+        r, target = _terms(domains, bonds), domains.target
         total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
         for name in r:
             if "kinetic" not in name:
@@ -107,7 +107,7 @@ class Ledger:
             )
 
 
-def _terms(domains: Domains, hold: ParticleBonds | None) -> dict[str, float]:
+def _terms(domains: Domains, bonds: ParticleBonds | None) -> dict[str, float]:
     """Present value of each term of the ledger, J."""
     particle, target, contact = domains.particle.totals, domains.target, domains.contact
     r = {"kinetic_particle": particle.kinetic, "kinetic_target": target.kinetic()}
@@ -119,8 +119,8 @@ def _terms(domains: Domains, hold: ParticleBonds | None) -> dict[str, float]:
     r["unexplained_particle"] = r["numerical_particle"] - r["viscosity_particle"] - r["hourglass_particle"]
     r["numerical_target"] = target.balance.numerical
     contacts = [contact] if domains.folding is None else [contact, domains.folding.contact]
-    r["contact"] = sum(c.penalty_energy + c.dropped_energy for c in contacts)
-    r["friction"] = sum(c.friction_heat for c in contacts)
+    r["contact"] = sum(c.penalty_energy + c.sums.dropped_energy for c in contacts)
+    r["friction"] = sum(c.sums.friction_heat for c in contacts)
     r["boundary"], r["bodies"] = target.balance.absorbed, domains.bodies.energy
-    r["bond"] = hold.bond.work if hold is not None else 0.0
+    r["bond"] = bonds.bond.work if bonds is not None else 0.0
     return r

@@ -54,5 +54,5 @@ def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
     impact.search_contacts(steps * dt)
     impact.advance(steps, dt)  # LAMMPS runs the steps; each of them calls impact.exchange_forces
     impact.domains.paths.flow(steps * dt)
-    impact.domains.paths.release(impact.hold)
+    impact.domains.paths.release(impact.bonds)
     return dt

@@ -95,7 +95,7 @@ class Recorder:
     def write_row(self, impact: Impact, dt: float) -> None:
         """One row of history.csv, and a look at the ranges of the models."""
         particle = impact.particle
-        ledger = impact.ledger.update(impact.domains, impact.hold)
+        ledger = impact.ledger.update(impact.domains, impact.bonds)
         skin = impact.surface.positions(particle.x)
         row = {
             "time": self.before + impact.time,

@@ -53,7 +53,7 @@ class ImpactOutcome:
     """A finished impact: its domains, LAMMPS still running; the bond of its particle, or None; its record for summary.json."""
 
     domains: Domains
-    hold: ParticleBonds | None
+    bonds: ParticleBonds | None
     record: ImpactRecord
 
 
@@ -94,7 +94,7 @@ def run_impact(
     watch = _WallClock()
     if resume_from is not None:
         retries, watch = list(resume_from.retries), _WallClock(resume_from.wall, resume_from.looped)
-        options.progress.log(f"going on from {(before + resume_from.impact.time) * 1e9:.1f} ns")
+        options.progress.log(f"going on from {(before + resume_from.impact.course.time) * 1e9:.1f} ns")
     with stop_signals() as signals:
         while True:
             met, level = (resume_from.impact.bodies, resume_from.level) if resume_from is not None else (bodies, None)
@@ -183,7 +183,7 @@ class _Attempt:
         record = summarise(impact, recorder, ending, self.retries, watch.wall, watch.looped)
         if record.values["undecided"] is not None or record.values["rebounded"] is None:
             save(state())
-        return ImpactOutcome(self.domains, impact.hold, record)
+        return ImpactOutcome(self.domains, impact.bonds, record)
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:

@@ -50,7 +50,7 @@ def summarise(
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
     own = {
-        **verdict_values(recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.hold, is_lost),
+        **verdict_values(recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.bonds, is_lost),
         **_computed(impact, recorder),
         "wall_s": wall,
         "wall_loop_s": looped,
@@ -94,8 +94,8 @@ def _computed(impact: Impact, recorder: Recorder) -> Values:
         "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
         "surface_level_m": impact.domains.level,
         "penetration_max_m": impact.deepest,
-        "contact_dropped": impact.contact.dropped,
-        "contact_dropped_bodies": impact.bodies.contact.pairs.dropped if impact.bodies.contact is not None else 0,
+        "contact_dropped": impact.contact.sums.dropped,
+        "contact_dropped_bodies": impact.bodies.contact.pairs.sums.dropped if impact.bodies.contact is not None else 0,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
         "numerical_dissipation": ledger.numerical_dissipation,

@@ -41,14 +41,18 @@ class Verdict:
     is_close: bool = False
 
 
-def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: ParticleBonds | None) -> Verdict:
+def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
     """The verdict on a particle at the end of its impact.
 
-    mass kg; upwards m/s: velocity of its centre normal to the surface; hold: its bonds, None if nothing bonded.
+    mass kg; upwards m/s: velocity of its centre normal to the surface; bonds: its bonds, None if nothing bonded.
     """
     if law.in_impact:
-        decided = _by_bonds(mass, upwards, hold)
-        if hold is not None and decided.margin_J is not None and abs(decided.margin_J) < SCATTER * hold.bond.dissipated:
+        decided = _by_bonds(mass, upwards, bonds)
+        if (
+            bonds is not None
+            and decided.margin_J is not None
+            and abs(decided.margin_J) < SCATTER * bonds.bond.dissipated
+        ):
             words = f"{decided.rests_on}; the margin is so small that another placement of points and elements can change the verdict"
             decided = replace(decided, rests_on=words, is_close=True)
         return _with_formula(decided, impact)
@@ -80,21 +84,23 @@ def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
     return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
-def _by_bonds(mass: float, upwards: float, hold: ParticleBonds | None) -> Verdict:
+def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
     """Verdict by the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
-    whole = 0 if hold is None else int(np.count_nonzero(~hold.bond.broken))
-    if hold is None or whole == 0:
-        return _unheld("no bond formed" if hold is None else "all bonds are torn", BY_BONDS, mass, upwards)
+    whole = 0 if bonds is None else int(np.count_nonzero(~bonds.bond.broken))
+    if bonds is None or whole == 0:
+        return _unheld("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
     motion = 0.5 * mass * max(upwards, 0.0) ** 2
-    if upwards > REBOUND and hold.gives_way(motion):
-        left = f"the {whole} of {len(hold.bond)} bonds that hold can take up {hold.bond.resistance.sum() / motion:.0%} of its energy"
+    if upwards > REBOUND and bonds.gives_way(motion):
+        left = f"the {whole} of {len(bonds.bond)} bonds that hold can take up {bonds.bond.resistance.sum() / motion:.0%} of its energy"
         return _unheld(left, BY_BONDS, mass, upwards)
     if whole < FEWEST:
-        few = f"only {whole} of {len(hold.bond)} bonds {'hold' if whole > 1 else 'holds'}"
+        few = f"only {whole} of {len(bonds.bond)} bonds {'hold' if whole > 1 else 'holds'}"
         return Verdict(UNDECIDED, few, BY_BONDS)
-    resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
+    resistance, energy = bonds.resistance, 0.5 * mass * upwards**2 + bonds.bond.stored
     if math.isinf(resistance):
-        return Verdict(STICKS, f"{whole} of {len(hold.bond)} bonds hold, which do not break", BY_BONDS, rebounded=False)
+        return Verdict(
+            STICKS, f"{whole} of {len(bonds.bond)} bonds hold, which do not break", BY_BONDS, rebounded=False
+        )
     words = f"bonds can absorb {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to break them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
@@ -125,7 +131,7 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 
 def verdict_values(
-    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: ParticleBonds | None, is_lost: bool = False
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False
 ) -> Values:
     """The part of the record of a finished impact that is its verdict.
 
@@ -137,7 +143,7 @@ def verdict_values(
     None where a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
-    decided = lost if is_lost else judge(law, impact, mass, upwards, hold)
+    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds)
     left = decided.rebounded
     stays = left is False and (law.in_impact or decided.verdict == STICKS)
     values: Values = {
@@ -148,7 +154,7 @@ def verdict_values(
         "rebound_velocity_m_s": max(upwards, 0.0) if left else None,
     }  # fmt: skip
     if law.in_impact:
-        area, bond = (np.zeros(0), None) if hold is None else (hold.bond.area, hold.bond)
+        area, bond = (np.zeros(0), None) if bonds is None else (bonds.bond.area, bonds.bond)
         energy = 0.0 if bond is None else float(area @ bond.energy[:, 0])
         values |= {
             "verdict_by_bonds": decided.bonds or decided.verdict,

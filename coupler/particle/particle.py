@@ -6,7 +6,7 @@ and internal forces move on (by an engine: `particle.machdyn`, `particle.compile
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -80,7 +80,7 @@ class PointState(MetalState):
     f_old: Annotated[np.ndarray, Rows(3)]
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class LocalState:
     """The points of one rank; internal_work J; time s, steps, dt s.
 
@@ -89,11 +89,11 @@ class LocalState:
     """
 
     points: PointState
-    internal_work: float
-    time: float
-    steps: int
-    dt: float
-    sums: Annotated[np.ndarray, Shape(4)]
+    sums: Annotated[np.ndarray, Shape(4)] = field(default_factory=lambda: np.zeros(4))
+    internal_work: float = 0.0
+    time: float = 0.0
+    steps: int = 0
+    dt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class PointTotals:
 _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns
 
 
-class Particle(ABC):
+class Particle(LocalState, ABC):
     """State and motion of one SPH particle, or of this rank's n points of it; an engine adds stress and internal forces.
 
     points: its state, of which LAMMPS keeps some arrays itself. f_ext (n,3) N: forces from outside, which the callback adds to.
@@ -133,7 +133,6 @@ class Particle(ABC):
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
     POINTS: ClassVar[type[PointState]]  # the record of the engine's points
-    points: PointState
 
     def __init__(
         self,
@@ -163,7 +162,7 @@ class Particle(ABC):
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
         self.is_shared = False
-        self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
+        self.stretch_min = 1.0
         with silence():
             try:
                 self._start(velocity, float(temperature), log)
@@ -178,13 +177,12 @@ class Particle(ABC):
         self.volume = np.full(self.n, self.volume_of_point)
         self.f_ext = np.zeros((self.n, 3))
         kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
-        self.points, self._mass = new_rows(self.POINTS, self.n, **kept), self._lammps("rmass")
+        super().__init__(new_rows(self.POINTS, self.n, **kept))
+        self._mass = self._lammps("rmass")
         p = self.points
         self._state = State(p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient)
         self.points.T[:], self.points.eps_p[:] = temperature, self.initial_strain
         self.points.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
-        self.sums = np.zeros(4)  # see LocalState
-        self.internal_work = 0.0
 
     def _start(
         self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None
@@ -373,7 +371,7 @@ class Particle(ABC):
 
     def state(self) -> LocalState:
         """State of these points, as a checkpoint holds it."""
-        return LocalState(copied(self.points), self.internal_work, self.time, self.steps, self.dt, self.sums.copy())
+        return copied(self)
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         """Put a `state` of the whole particle (all points in the order given) into a fresh one; sums go to the first rank.
@@ -382,10 +380,9 @@ class Particle(ABC):
         """
         if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
             raise CheckpointError("a state does not fit: the particle has other points or another engine")
-        put(take(state.points, self.ids), self.points)
-        if first:
-            self.sums[:], self.internal_work = state.sums, state.internal_work
-        self.time, self.steps, self.dt = state.time, state.steps, state.dt
+        put(replace(state, points=take(state.points, self.ids)), self)
+        if not first:
+            self.sums[:], self.internal_work = 0.0, 0.0
 
     def close(self) -> None:
         """Close LAMMPS."""

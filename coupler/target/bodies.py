@@ -139,7 +139,7 @@ class Bodies:
     def energy(self) -> float:
         """Energy that contact and bonds between bodies store and have dissipated, J."""
         c, b = self.contact, self.bond
-        energy = c.energy + c.lost if c is not None else 0.0
+        energy = c.energy + c.pairs.sums.lost if c is not None else 0.0
         return energy + (b.work if b is not None else 0.0)
 
     def state(self) -> BodiesState:

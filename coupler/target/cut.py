@@ -13,9 +13,10 @@ import numpy as np
 
 from ..contact.bodies import ContactPast
 from ..contact.bond import Bond
+from ..contact.contact import ContactSums
 from ..contact.model import new_history
 from ..core.arrays import occurring
-from ..core.records import arrays_of, collect, concatenate, take
+from ..core.records import arrays_of, concatenate, copied, take
 from ..fe.state import Balance
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
@@ -29,13 +30,14 @@ R = TypeVar("R")
 @dataclass(frozen=True)
 class Cut:
     """Record of a sub-domain. part: its domain and indices; nodes, elements: indices in the full domain that its impact can change;
-    balance, sums: those of the target and of contact and bonds (`_sums`) when it was made."""
+    balance, sums, bonds: those of the target, of its contact and of its bonds (`_energies`) when it was made."""
 
     part: Selection
     nodes: np.ndarray
     elements: np.ndarray
     balance: Balance
-    sums: np.ndarray
+    sums: ContactSums
+    bonds: np.ndarray
 
 
 def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
@@ -75,9 +77,8 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
         part.bond.stored = float(part.bond.stored_by_each.sum())
         part.bond.renumber(number)
     elements = np.flatnonzero(inside)
-    return part, Cut(
-        selected, occurring(conn[elements], len(x)), elements, collect(Balance, part.target.balance), _sums(part)
-    )
+    balance, sums = copied(part.target.balance), _sums(part)
+    return part, Cut(selected, occurring(conn[elements], len(x)), elements, balance, sums, _energies(part.bond))
 
 
 def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -125,13 +126,12 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, numbers, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
     new.target.balance += sum((part.target.balance - cut.balance for cut, part in parts), Balance())
-    gain = np.sum([_sums(part) - cut.sums for cut, part in parts], axis=0)
     changed_parts = []  # with masks of each part's nodes: those that its impact can change
     for (cut, part), (node, _) in zip(parts, numbers, strict=True):
         changed = np.zeros(len(new.target.nodes.x), bool)
         changed[cut.nodes] = changed[len(whole.target.nodes.x) :] = True
         changed_parts.append((cut, part, node, changed[node]))
-    new.bond = _bonds(whole, changed_parts, *gain[4:])
+    new.bond = _bonds(whole, changed_parts, *np.sum([_energies(part.bond) - cut.bonds for cut, part in parts], axis=0))
     if new.count > 1:
         past = ContactPast(new_history(len(new.target.nodes.x)))
         if (before := whole.past()) is not None:
@@ -139,16 +139,20 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
         for _, part, node, mine in changed_parts:
             if (of_part := part.past()) is not None:
                 past.nodes[node[mine]] = of_part.nodes[mine]
-        lost, friction_heat, dropped_energy, dropped = (np.array(past[1:]) + gain[:4]).tolist()
-        new.touch(ContactPast(past.nodes, lost, friction_heat, dropped_energy, int(dropped)))
+        gain = sum((_sums(part) - cut.sums for cut, part in parts), ContactSums())
+        new.touch(ContactPast(past.nodes, past.sums + gain))
     return new
 
 
-def _sums(bodies: Bodies) -> np.ndarray:
-    """Sums of contact and bonds so far (6,): see `ContactPast`, then energies stored and dissipated by bonds, J."""
-    past, bond = bodies.past(), bodies.bond
-    contact = [0.0] * 4 if past is None else [past.lost, past.friction_heat, past.dropped_energy, past.dropped]
-    return np.array([*contact, *((0.0, 0.0) if bond is None else (bond.stored, bond.dissipated))], float)
+def _sums(bodies: Bodies) -> ContactSums:
+    """Sums of the contact between bodies so far."""
+    past = bodies.past()
+    return ContactSums() if past is None else past.sums
+
+
+def _energies(bond: Bond | None) -> np.ndarray:
+    """Energies (2,) J that bonds store and have dissipated."""
+    return np.array((0.0, 0.0) if bond is None else (bond.stored, bond.dissipated))
 
 
 def _bonds(

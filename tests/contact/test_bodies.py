@@ -66,7 +66,7 @@ def test_a_sliding_block_slows_down_by_coulombs_law() -> None:
     assert abs(v[1]) < 0.01 * start
     # what the block has lost is heat, but for the waves that the jerk of sliding has sent through both
     loss = 0.5 * float(t.mass[up].sum()) * (start**2 - v[0] ** 2)
-    assert 0.9 * loss < contact.pairs.friction_heat < loss
+    assert 0.9 * loss < contact.pairs.sums.friction_heat < loss
 
 
 def test_friction_that_is_not_overcome_holds() -> None:
@@ -110,7 +110,7 @@ def test_an_oblique_collision_with_friction_closes_its_ledger() -> None:
     t.nodes.v[b.nodes(1)] = [3.0, 1.0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
     b.run(1.6e-3, limit=2.5e-7)
-    assert contact.pairs.friction_heat > 5e-4 * start
+    assert contact.pairs.sums.friction_heat > 5e-4 * start
     assert b.energy() == pytest.approx(start, rel=1e-4)
     scale = float(t.mass.sum()) * 10.0
     assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
@@ -124,7 +124,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     b.target = t
     t.nodes.v[b.nodes(1)] = [20.0, 0, -5.0]
     b.run(1.5e-4)
-    made = contact.pairs.friction_heat
+    made = contact.pairs.sums.friction_heat
     elements, heat = contact.heat()
     assert heat.sum() == pytest.approx(made, rel=1e-12)
     assert heat[b.body[elements] == 1].sum() == pytest.approx(0.5 * made, rel=1e-12)
@@ -134,7 +134,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     t.warm(elements, heat)
     assert np.all(t.elements.T[np.unique(elements)] > before[np.unique(elements)])
     assert contact.heat()[1].size == 0
-    assert contact.pairs.friction_heat == made
+    assert contact.pairs.sums.friction_heat == made
 
 
 def test_three_bodies_each_against_those_before_it() -> None:
@@ -330,7 +330,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     kept = contact.state()
     fresh = BodyContact(one.surfaces, one.target.mesh.points, [one.K] * 2, 0.3)
     fresh.restore(kept)
-    assert fresh.pairs.friction_heat == contact.pairs.friction_heat > 0
+    assert fresh.pairs.sums.friction_heat == contact.pairs.sums.friction_heat > 0
     assert fresh.pairs.penalty_energy == contact.pairs.penalty_energy
     t = one.target
     forces = []
@@ -341,7 +341,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
             c.forces(1e-6, t.nodes.x, t.nodes.v, f)
         forces.append(f)
     assert np.array_equal(*forces)
-    assert fresh.pairs.friction_heat == contact.pairs.friction_heat
+    assert fresh.pairs.sums.friction_heat == contact.pairs.sums.friction_heat
 
 
 def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
@@ -368,7 +368,7 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
     later.forces(1e-9, x, v, g)
     assert np.abs(f).max() > 0
     assert g[node] == pytest.approx(f, rel=1e-12, abs=1e-12 * np.abs(f).max())
-    assert later.pairs.friction_heat == pytest.approx(contact.pairs.friction_heat, rel=1e-12)
+    assert later.pairs.sums.friction_heat == pytest.approx(contact.pairs.sums.friction_heat, rel=1e-12)
 
 
 def test_each_body_needs_a_bulk_modulus() -> None:
@@ -504,7 +504,7 @@ def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
     b.run(1e-3, limit=2.5e-7, watch=watch)
     assert second[0] > 1e-4 * b.surfaces.spacing(t.nodes.x, 1)
     assert b.velocity(2)[0] > 0.0
-    assert b.energy() + contact.pairs.dropped_energy == pytest.approx(start, rel=1e-3)
+    assert b.energy() + contact.pairs.sums.dropped_energy == pytest.approx(start, rel=1e-3)
     scale = float(t.mass.sum()) * 10.0
     assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
     assert np.abs(b.moment() - moment).max() < 1e-12 * scale

@@ -459,7 +459,7 @@ def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) ->
     assert touching(contact) >= 16
     assert g[up, 2].sum() > 0
     assert before <= 1e-12 * energy
-    assert contact.pairs.penalty_energy + contact.lost == pytest.approx(energy, rel=1e-9)
+    assert contact.pairs.penalty_energy + contact.pairs.sums.lost == pytest.approx(energy, rel=1e-9)
 
 
 def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once(pair: Blocks) -> None:
@@ -473,8 +473,8 @@ def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once
     stored = contact.pairs.penalty_energy
     assert stored > 0.0
     contact.search(shifted(pair, np.array([0.0, 0.0, 0.01 * SIDE])), 0.0, bond)
-    assert contact.pairs.friction_heat > 0.1 * stored
-    spent = contact.pairs.friction_heat + contact.pairs.dropped_energy + contact.lost
+    assert contact.pairs.sums.friction_heat > 0.1 * stored
+    spent = contact.pairs.sums.friction_heat + contact.pairs.sums.dropped_energy + contact.pairs.sums.lost
     assert contact.pairs.penalty_energy + spent == pytest.approx(stored, rel=1e-9)
 
 
@@ -496,7 +496,7 @@ def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_c
     contact.forces(1e-12, x, still, f)
     assert f[up, 2].sum() > 0
     assert touching(contact) > 10
-    assert bond.stored + contact.pairs.penalty_energy + contact.lost == pytest.approx(energy, rel=1e-9)
+    assert bond.stored + contact.pairs.penalty_energy + contact.pairs.sums.lost == pytest.approx(energy, rel=1e-9)
 
 
 def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped(pair: Blocks) -> None:

@@ -101,17 +101,17 @@ def test_sliding_block_slows_down_by_coulombs_law_and_its_loss_is_the_heat(rng: 
     for step in range(steps):
         if step % 10 == 0:
             c.search(xp, x, 1e-2)
-        warmth = c.friction_heat
+        warmth = c.sums.friction_heat
         force, _ = forces(c, dt, xp, x, vp)
         force[0, 2] = 0.0  # held at its depth
         vp = vp + dt * force / mass
         xp = xp + dt * vp
-        heat += c.friction_heat - warmth
+        heat += c.sums.friction_heat - warmth
     assert vp[0, 0] == pytest.approx(4.0 - mu * normal * steps * dt / mass, rel=2e-2)
     assert heat + c.penalty_energy - 0.5 * normal * depth == pytest.approx(
         0.5 * mass * (16.0 - vp[0, 0] ** 2), rel=2e-2
     )
-    assert c.friction_heat == pytest.approx(heat)
+    assert c.sums.friction_heat == pytest.approx(heat)
     assert c.heat_point.sum() + c.heat_face.sum() == pytest.approx(heat)
 
 
@@ -122,7 +122,7 @@ def test_a_small_pull_sticks(rng: np.random.Generator) -> None:
     c.search(xp, x, 1e-2)
     f, _ = forces(c, 1e-6, xp, x, np.array([[1.0, 0, 0]]))
     assert f[0, 0] == pytest.approx(-TANGENTIAL * c.stiffness[0] * 1e-6)
-    assert c.friction_heat == 0.0
+    assert c.sums.friction_heat == 0.0
 
 
 def test_what_a_point_ignores_of_a_body_stays_with_the_body() -> None:
@@ -145,7 +145,7 @@ def test_what_a_point_ignores_of_a_body_stays_with_the_body() -> None:
     for of_wall in (0.05, 0.059, 0.061, 0.07, 0.061, 0.059, 0.05):
         assert force(of_wall, 0.06) == pytest.approx([of_wall - 0.04, 0.0, 0.06], abs=1e-12)
         assert h["body"][0] == (1 if of_wall < 0.06 else 2)
-    assert contact.dropped_energy == 0.0
+    assert contact.sums.dropped_energy == 0.0
 
 
 def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator) -> None:
@@ -367,11 +367,11 @@ def test_a_dropped_point_is_counted_and_its_energy_kept(rng: np.random.Generator
     xp[0, 2] = -0.045
     for _ in range(3):
         step()
-    assert (c.dropped, np.count_nonzero(c.depth)) == (1, 1)
-    assert c.dropped_energy == pytest.approx(own, rel=1e-12)
+    assert (c.sums.dropped, np.count_nonzero(c.depth)) == (1, 1)
+    assert c.sums.dropped_energy == pytest.approx(own, rel=1e-12)
     kept = make(2, facets, jump=0.2)
     kept.restore(c.state())
-    assert (kept.dropped, kept.dropped_energy) == (c.dropped, c.dropped_energy)
+    assert (kept.sums.dropped, kept.sums.dropped_energy) == (c.sums.dropped, c.sums.dropped_energy)
 
 
 def test_what_jumps_into_contact_gives_no_energy() -> None:
@@ -402,8 +402,8 @@ def test_what_jumps_into_contact_gives_no_energy() -> None:
     assert move(0.3, 0.1, 0.14) == pytest.approx(0.06 * c.stiffness)  # it has been outside: all of it
     move(-0.3, 0.1, 0.14)
     assert c.penalty_energy == 0.0
-    assert c.dropped_energy == pytest.approx(work, rel=0.15)  # out of contact by a jump, which gives nothing back
-    assert c.dropped == 0
+    assert c.sums.dropped_energy == pytest.approx(work, rel=0.15)  # out of contact by a jump, which gives nothing back
+    assert c.sums.dropped == 0
 
 
 def test_a_point_that_nothing_is_near_lies_outside(rng: np.random.Generator) -> None:
@@ -415,4 +415,4 @@ def test_a_point_that_nothing_is_near_lies_outside(rng: np.random.Generator) -> 
     forces(c, 0.0, xp, x)
     assert c.gap[0] < 0.0 < c.gap[1]
     assert c.depth[1] == 0.0
-    assert c.dropped == 0
+    assert c.sums.dropped == 0

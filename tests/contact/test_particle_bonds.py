@@ -15,7 +15,7 @@ from coupler.physics.constitutive import heat_capacities
 
 
 def alone(bond: Bond) -> ParticleBonds:
-    """A hold of points that have no neighbours."""
+    """Bonds of points that have no neighbours."""
     return ParticleBonds(bond, np.zeros(int(bond.nodes.max(initial=0)) + 2, int), np.zeros(0, int))
 
 
@@ -25,44 +25,44 @@ def patch(pull: float, energy: float = np.inf) -> tuple[ParticleBonds, np.ndarra
     facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
     xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
     law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
-    hold = alone(Bond.tie(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, loose=True, **law))
-    return hold, xp + np.array([0.0, 0.0, pull]), x
+    bonds = alone(Bond.tie(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, loose=True, **law))
+    return bonds, xp + np.array([0.0, 0.0, pull]), x
 
 
 def test_a_hold_pulls_back_and_gives_as_much_to_the_facets() -> None:
-    hold, xp, x = patch(1e-9)
+    bonds, xp, x = patch(1e-9)
     f, g = np.zeros_like(xp), np.zeros_like(x)
-    hold.forces(xp, x, f, g)
+    bonds.forces(xp, x, f, g)
     np.testing.assert_allclose(f[1:, 2], -1e17 * 1e-9 * 0.25e-12, rtol=1e-9)
     assert not f[0].any()
     assert not g[4].any()
     np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-18)
     np.testing.assert_allclose(np.cross(xp, f).sum(axis=0) + np.cross(x, g).sum(axis=0), 0.0, atol=1e-22)
-    assert hold.bond.work == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
-    assert not hold.bond.broken.any()
+    assert bonds.bond.work == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
+    assert not bonds.bond.broken.any()
 
 
 def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
-    hold, xp, x = patch(0.0, energy=10.0)
+    bonds, xp, x = patch(0.0, energy=10.0)
     f, g = np.zeros_like(xp), np.zeros_like(x)
     for _ in range(300):
         xp[:, 2] += 2e-10  # to 60 nm: the last opening is 2 G / strength = 50 nm
-        hold.forces(xp, x, f, g)
-    assert hold.bond.broken.all()
-    assert hold.bond.work == pytest.approx(10.0 * 1e-12, rel=5e-3)
-    assert hold.bond.area.sum() == pytest.approx(1e-12)
-    assert hold.bond.soundness.max() == 0.0
-    again = alone(hold.state())
-    np.testing.assert_array_equal(again.bond.nodes, hold.bond.nodes)
-    assert again.bond.work == hold.bond.work
+        bonds.forces(xp, x, f, g)
+    assert bonds.bond.broken.all()
+    assert bonds.bond.work == pytest.approx(10.0 * 1e-12, rel=5e-3)
+    assert bonds.bond.area.sum() == pytest.approx(1e-12)
+    assert bonds.bond.soundness.max() == 0.0
+    again = alone(bonds.state())
+    np.testing.assert_array_equal(again.bond.nodes, bonds.bond.nodes)
+    assert again.bond.work == bonds.bond.work
 
 
 def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
-    hold, xp, x = patch(1e-9)
-    hold.forces(xp, x, np.zeros_like(xp), np.zeros_like(x))
-    held = hold.bond.work
-    hold.bond.drop(np.ones(4, bool))
-    empty = alone(hold.bond)
+    bonds, xp, x = patch(1e-9)
+    bonds.forces(xp, x, np.zeros_like(xp), np.zeros_like(x))
+    held = bonds.bond.work
+    bonds.bond.drop(np.ones(4, bool))
+    empty = alone(bonds.bond)
     f, g = np.zeros_like(xp), np.zeros_like(x)
     empty.forces(xp, x, f, g)
     assert not f.any()
@@ -76,9 +76,9 @@ def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
 
 
 def test_its_step_is_that_of_a_mass_on_a_spring() -> None:
-    hold, _, _ = patch(0.0)
+    bonds, _, _ = patch(0.0)
     mass = 1e-15
-    dt = hold.stable_dt(1.0 / mass, np.full(5, 1e3))
+    dt = bonds.stable_dt(1.0 / mass, np.full(5, 1e3))
     # each point on one spring of k a; Gershgorin counts the foot's side too
     assert dt == pytest.approx(0.9 * 2.0 / np.sqrt(2.0 * 1e17 * 0.25e-12 / mass))
 
@@ -97,11 +97,11 @@ def test_parting_a_known_area_costs_the_fracture_energy_at_any_spacing(mode: str
         else:  # about the edge x = 0; the points nearest to it open last
             to[:, 2] += s * reach * 2 * n * sheet.xp[:, 0] / SIDE
         sheet.move(to)
-    assert sheet.hold.bond.broken.all()
+    assert sheet.bonds.bond.broken.all()
     energy = SHEAR if mode == "shear" else ENERGY
-    assert sheet.hold.bond.work == pytest.approx(energy * SIDE**2, rel=0.01)
+    assert sheet.bonds.bond.work == pytest.approx(energy * SIDE**2, rel=0.01)
     assert sheet.work == pytest.approx(energy * SIDE**2, rel=0.01)
-    assert sheet.hold.bond.spent.sum() == pytest.approx(sheet.hold.bond.dissipated, rel=1e-12)
+    assert sheet.bonds.bond.spent.sum() == pytest.approx(sheet.bonds.bond.dissipated, rel=1e-12)
 
 
 def test_unloading_from_pressure_is_no_opening() -> None:
@@ -110,12 +110,12 @@ def test_unloading_from_pressure_is_no_opening() -> None:
     deep = sheet.xp - np.array([0.0, 0.0, 80e-9])
     for lift in np.linspace(0.0, 79.9e-9, 200):
         assert sheet.move(deep + np.array([0.0, 0.0, lift]))[2] > 0.0
-        assert sheet.hold.bond.damage.max() == 0.0
-        assert sheet.hold.bond.work == pytest.approx(0.0, abs=1e-30)
+        assert sheet.bonds.bond.damage.max() == 0.0
+        assert sheet.bonds.bond.work == pytest.approx(0.0, abs=1e-30)
     assert sheet.move(sheet.xp + np.array([0.0, 0.0, 2e-9]))[2] == pytest.approx(-STIFFNESS * 2e-9 * SIDE**2, rel=1e-6)
     for lift in np.linspace(2e-9, 1e-6, 1000):
         sheet.move(sheet.xp + np.array([0.0, 0.0, lift]))
-    assert sheet.hold.bond.work == pytest.approx(ENERGY * SIDE**2, rel=0.01)
+    assert sheet.bonds.bond.work == pytest.approx(ENERGY * SIDE**2, rel=0.01)
 
 
 def test_sliding_under_pressure_shears_bonds_without_opening_them() -> None:
@@ -124,7 +124,7 @@ def test_sliding_under_pressure_shears_bonds_without_opening_them() -> None:
     last = 0.0
     for slip in np.linspace(0.0, 0.05e-6, 300):
         sheet.move(deep + np.array([slip, 0.0, 0.0]))
-        bond = sheet.hold.bond
+        bond = sheet.bonds.bond
         assert np.abs(bond.opening[:, 2]).max() == 0.0
         assert bond.traction[:, 0].max() == 0.0
         assert bond.damage.min() >= last
@@ -150,17 +150,17 @@ def test_what_slides_under_pressure_welds_again(share: float) -> None:
         force = pressed.move(pressed.xp + deep + np.array([slip, 0.0, 0.0]))
         free.move(free.xp + np.array([slip, 0.0, 0.0]))
     assert force[0] == pytest.approx(-share * STRENGTH * SIDE**2, rel=1e-6)
-    assert pressed.hold.bond.damage == pytest.approx(1.0 - share, abs=1e-12)
-    assert pressed.hold.bond.work == pytest.approx(pressed.work, rel=2e-3)
-    assert pressed.hold.bond.spent.sum() == pytest.approx(pressed.hold.bond.dissipated, rel=1e-12)
-    assert free.hold.bond.broken.all()
-    slid = pressed.hold.bond.dissipated + pressed.hold.bond.stored
+    assert pressed.bonds.bond.damage == pytest.approx(1.0 - share, abs=1e-12)
+    assert pressed.bonds.bond.work == pytest.approx(pressed.work, rel=2e-3)
+    assert pressed.bonds.bond.spent.sum() == pytest.approx(pressed.bonds.bond.dissipated, rel=1e-12)
+    assert free.bonds.bond.broken.all()
+    slid = pressed.bonds.bond.dissipated + pressed.bonds.bond.stored
     still = pressed.xp + np.array([way - STRENGTH / STIFFNESS * share, 0.0, 0.0])  # no shear is left
     for lift in np.linspace(-30e-9, 3.0 * ENERGY / STRENGTH, 1000):
         pressed.move(still + np.array([0.0, 0.0, lift]))
-    assert pressed.hold.bond.broken.all()
+    assert pressed.bonds.bond.broken.all()
     unloaded = 0.5 * (share * STRENGTH) ** 2 / STIFFNESS * SIDE**2
-    assert pressed.hold.bond.work - slid + unloaded == pytest.approx(share**2 * ENERGY * SIDE**2, rel=0.01)
+    assert pressed.bonds.bond.work - slid + unloaded == pytest.approx(share**2 * ENERGY * SIDE**2, rel=0.01)
 
 
 def test_a_point_beside_one_that_presses_is_not_opened() -> None:
@@ -172,11 +172,11 @@ def test_a_point_beside_one_that_presses_is_not_opened() -> None:
         to = sheet.xp.copy()
         to[:, 2] += hover - depth
         sheet.move(to)
-        assert sheet.hold.bond.traction[5, 0] == 0.0
+        assert sheet.bonds.bond.traction[5, 0] == 0.0
     to[:, 2] = hover + 1e-9  # all free: the opening of the one counts from where it was
     sheet.move(to)
-    assert sheet.hold.bond.traction[5, 0] == pytest.approx(2e-9 * STIFFNESS, rel=1e-6)
-    assert sheet.hold.bond.damage[5] == 0.0
+    assert sheet.bonds.bond.traction[5, 0] == pytest.approx(2e-9 * STIFFNESS, rel=1e-6)
+    assert sheet.bonds.bond.damage[5] == 0.0
 
 
 def test_a_mass_on_bonds_leaves_above_one_velocity() -> None:
@@ -188,11 +188,11 @@ def test_a_mass_on_bonds_leaves_above_one_velocity() -> None:
         sheet = Sheet(2)
         z, v, dt = 0.0, ratio * v_margin, 2e-11
         f = 0.0
-        while v > 0.0 and not sheet.hold.bond.broken.all():
+        while v > 0.0 and not sheet.bonds.bond.broken.all():
             v += f / mass * dt
             z += v * dt
             f = float(sheet.move(sheet.xp + np.array([0.0, 0.0, z]))[2])
-        left.append(v > 0.0 and sheet.hold.bond.broken.all())
+        left.append(v > 0.0 and sheet.bonds.bond.broken.all())
     assert np.count_nonzero(np.diff(left)) == 1
     assert not left[2]
     assert left[6]
@@ -233,12 +233,12 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     t, share = b.target, 0.3
     top = t.mesh.facets[t.mesh.sets["a.top"]][:6]
     xp, area = t.nodes.x[top].mean(axis=1), np.full(6, 1e-13)
-    hold = alone(
+    bonds = alone(
         Bond.tie(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY, loose=True)
     )
     f, g = np.zeros((6, 3)), np.zeros_like(t.nodes.x)
     for lift in np.linspace(0.0, 1e-6, 1000):
-        hold.forces(xp + np.array([0.0, 0.0, lift]), t.nodes.x, f, g)
+        bonds.forces(xp + np.array([0.0, 0.0, lift]), t.nodes.x, f, g)
 
     class Points:
         heat = np.zeros(6)
@@ -252,9 +252,9 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
 
     points, T = Points(), t.elements.T.copy()
     no_friction = SimpleNamespace(share=share, heat_point=np.zeros(0), heat_face=np.zeros(0))
-    HeatPaths(points, t, points, no_friction).release(hold)
+    HeatPaths(points, t, points, no_friction).release(bonds)
     law = t.laws[t.law_of]
     gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.elements.T - T)))
     assert points.heat.sum() == pytest.approx(share * ENERGY * area.sum(), rel=0.01)
-    assert points.heat.sum() + gained == pytest.approx(hold.bond.work, rel=1e-6)
-    assert not hold.bond.heat().any()
+    assert points.heat.sum() + gained == pytest.approx(bonds.bond.work, rel=1e-6)
+    assert not bonds.bond.heat().any()

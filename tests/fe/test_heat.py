@@ -59,7 +59,7 @@ def test_operator_is_scikit_fems(rng: np.random.Generator) -> None:
     x = m.points + 0.02 * rng.standard_normal(m.points.shape)  # conduction acts in the current configuration
     block.nodes.x[:] = x
     assert kernels.volumes(0, len(m.conn), x, m.conn, block.elements.volume) > 0
-    block.conduction.record.T[:] = T = 300 + 100 * rng.random(len(x))
+    block.conduction.T[:] = T = 300 + 100 * rng.random(len(x))
     block.conduction.flows(block)
     flow = np.zeros(len(x))
     np.add.at(flow, m.conn, block.conduction.arrays.flow)
@@ -96,7 +96,7 @@ def test_two_half_spaces_meet_at_the_temperature_of_their_effusivities() -> None
     end = 0.25**2 / alpha[0]
     block.run(end)
     between = (effusivity[0] * 600 + effusivity[1] * 300) / effusivity.sum()
-    met = block.conduction.record.T[np.abs(m.points[:, 2]) < 1e-9]
+    met = block.conduction.T[np.abs(m.points[:, 2]) < 1e-9]
     assert met == pytest.approx(between, abs=1.5)
     far = np.where(law_of == 0, 600.0, 300.0)
     exact = between + (far - between) * np.vectorize(erf)(np.abs(block.z) / (2 * np.sqrt(alpha[law_of] * end)))
@@ -111,7 +111,7 @@ def test_conductivity_that_changes_with_temperature() -> None:
     block = Block(m, law, np.full(len(m.conn), 500.0))
     block.run(1e-9)
     whole = 50 * 600 + 0.125 * 600**2
-    block.conduction.record.T[:] = 300 + (np.sqrt(50**2 + 0.5 * m.points[:, 2] * whole) - 50) / 0.25
+    block.conduction.T[:] = 300 + (np.sqrt(50**2 + 0.5 * m.points[:, 2] * whole) - 50) / 0.25
     block.conduction.flows(block)
     flow = np.zeros(len(m.points))
     np.add.at(flow, m.conn, block.conduction.arrays.flow)

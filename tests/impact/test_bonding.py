@@ -209,7 +209,7 @@ def test_two_metals_bond_by_the_law_of_their_pair(runs: dict[str, Result], tmp_p
 
 def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
-        if impact.hold is not None and impact.time > 45e-9:
+        if impact.bonds is not None and impact.time > 45e-9:
             raise Stopped
 
     with pytest.raises(Stopped):

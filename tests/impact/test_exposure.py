@@ -132,10 +132,10 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
                 now = getattr(e, name)[:, 0] if name == "clean" else getattr(e, name)
                 assert np.all(now >= seen.get(name, 0.0))
                 seen[name] = now.copy()
-        if impact.hold is not None and "sinking" not in seen:
+        if impact.bonds is not None and "sinking" not in seen:
             seen["sinking"] = np.array(impact.sinking)
-        if impact.hold is not None:
-            seen["rows"], seen["strength"] = impact.hold.bond.nodes, impact.hold.bond.strength[:, 0].copy()
+        if impact.bonds is not None:
+            seen["rows"], seen["strength"] = impact.bonds.bond.nodes, impact.bonds.bond.strength[:, 0].copy()
         depth, vertices = impact.contact.depth, impact.surface.weights.shape[0]
         if impact.sinking < 200.0 and impact.force[2] > 0.2 * seen.setdefault("peak", impact.force[2].copy()):
             shares = depth[:vertices].sum(), impact.surface.at_vertices(depth).sum(), depth.sum()
@@ -174,7 +174,7 @@ def test_places_bond_where_the_crater_runs_away_from_a_particle_that_still_sinks
 @pytest.mark.slow
 def test_it_goes_on_from_a_checkpoint(exposed: tuple[Result, dict[str, np.ndarray]], tmp_path: Path) -> None:
     def stop(impact: Impact) -> None:
-        if impact.hold is not None and impact.time > 20e-9:
+        if impact.bonds is not None and impact.time > 20e-9:
             raise Stopped
 
     with pytest.raises(Stopped):

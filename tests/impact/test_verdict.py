@@ -33,18 +33,18 @@ def opened(lift: float) -> Sheet:
 
 
 def test_a_particle_sticks_while_its_bonds_can_take_up_more_than_is_left() -> None:
-    hold = opened(0.1e-6).hold
-    left = hold.resistance - hold.bond.stored
+    bonds = opened(0.1e-6).bonds
+    left = bonds.resistance - bonds.bond.stored
     assert 0.1 * WHOLE < left < WHOLE
     limit = math.sqrt(2.0 * left / MASS)
     for share in (0.5, 0.99, 1.01, 2.5):
-        found = judge(COHESIVE, IMPACT, MASS, share * limit, hold)
+        found = judge(COHESIVE, IMPACT, MASS, share * limit, bonds)
         # far above the limit it leaves: bonds take up a quarter of its energy
         assert found.bonds == ("sticks" if share < 1.0 else "undecided" if share < 2.0 else "rebounds")
         if share < 1.0:
             assert found.margin_J == pytest.approx(left * (1.0 - share**2))
             assert found.margin_m_s == pytest.approx(limit * math.sqrt(1.0 - share**2))
-    assert judge(COHESIVE, IMPACT, MASS, -0.5 * limit, hold).bonds == "sticks"
+    assert judge(COHESIVE, IMPACT, MASS, -0.5 * limit, bonds).bonds == "sticks"
 
 
 def test_a_particle_that_hangs_on_a_point_is_undecided() -> None:
@@ -53,11 +53,11 @@ def test_a_particle_that_hangs_on_a_point_is_undecided() -> None:
         to = sheet.xp.copy()
         to[3:, 2] += s * 1e-6
         sheet.move(to)
-    hold = sheet.hold
-    assert np.count_nonzero(~hold.bond.broken) == 3
-    assert judge(COHESIVE, IMPACT, MASS, 0.0, hold).bonds == "sticks"
-    hold.bond.damage[0] = 1.0
-    found = judge(COHESIVE, IMPACT, MASS, 0.0, hold)
+    bonds = sheet.bonds
+    assert np.count_nonzero(~bonds.bond.broken) == 3
+    assert judge(COHESIVE, IMPACT, MASS, 0.0, bonds).bonds == "sticks"
+    bonds.bond.damage[0] = 1.0
+    found = judge(COHESIVE, IMPACT, MASS, 0.0, bonds)
     assert found.verdict == "undecided"
     assert found.rests_on.startswith("only 2 of 16 bonds hold")
     assert found.rebounded is None
@@ -65,24 +65,24 @@ def test_a_particle_that_hangs_on_a_point_is_undecided() -> None:
 
 def test_a_margin_within_the_scatter_is_named() -> None:
     """Rebound with an energy about half of what the bonds have dissipated."""
-    hold = opened(1e-6).hold
-    spent = hold.bond.dissipated
+    bonds = opened(1e-6).bonds
+    spent = bonds.bond.dissipated
     assert spent == pytest.approx(WHOLE, rel=0.02)
     for share, is_close in ((0.45, True), (0.55, False)):
-        found = judge(COHESIVE, IMPACT, MASS, math.sqrt(2.0 * share * spent / MASS), hold)
+        found = judge(COHESIVE, IMPACT, MASS, math.sqrt(2.0 * share * spent / MASS), bonds)
         assert (found.bonds, found.is_close) == ("rebounds", is_close)
         assert ("another placement" in found.rests_on) == is_close
     assert not judge(COHESIVE, IMPACT, MASS, 20.0, None).is_close
 
 
 def test_nothing_that_holds_and_no_motion_is_no_verdict() -> None:
-    torn = opened(1e-6).hold
-    for law, hold in ((COHESIVE, None), (COHESIVE, torn), (Adhesion(), None)):
-        left = judge(law, IMPACT, MASS, 20.0, hold)
+    torn = opened(1e-6).bonds
+    for law, bonds in ((COHESIVE, None), (COHESIVE, torn), (Adhesion(), None)):
+        left = judge(law, IMPACT, MASS, 20.0, bonds)
         assert (left.verdict, left.margin_m_s) == ("rebounds", -20.0)
         assert left.margin_J == pytest.approx(-0.5 * MASS * 400.0)
         assert left.by == ("bonds" if law.in_impact else "motion")
-        assert judge(law, IMPACT, MASS, 0.3, hold).verdict == "undecided"
+        assert judge(law, IMPACT, MASS, 0.3, bonds).verdict == "undecided"
 
 
 @pytest.mark.parametrize(
@@ -130,11 +130,11 @@ def test_the_default_verdict_is_that_of_the_pair_or_says_that_it_is_not() -> Non
 def test_bonds_and_formula_that_disagree_are_both_said() -> None:
     """Copper of 30 um on 6061 at 614 m/s: its formula says 473 m/s, and the bonds are torn. On itself at 450 m/s both say rebound, at
     614 m/s bonds that hold and the formula say that it sticks."""
-    torn, whole = opened(1e-6).hold, opened(0.1e-6).hold
+    torn, whole = opened(1e-6).bonds, opened(0.1e-6).bonds
 
-    def found(base: str, velocity: float, hold: ParticleBonds, upwards: float) -> Verdict:
+    def found(base: str, velocity: float, bonds: ParticleBonds, upwards: float) -> Verdict:
         changes = {"particle__material": "Cu", "particle__diameter": "30 um", "particle__velocity": f"{velocity} m/s"}
-        return judge(COHESIVE, plan(scene_with(**changes, substrate__material=base)).impact, MASS, upwards, hold)
+        return judge(COHESIVE, plan(scene_with(**changes, substrate__material=base)).impact, MASS, upwards, bonds)
 
     split = found("Al", 614.0, torn, 20.0)
     assert (split.verdict, split.bonds, split.rebounded) == ("undecided", "rebounds", True)
@@ -146,15 +146,15 @@ def test_bonds_and_formula_that_disagree_are_both_said() -> None:
     assert own.verdict == "undecided"
     assert "it rebounds by computed bonds" in own.rests_on
     assert "by the formula it sticks" in own.rests_on
-    for velocity, hold, upwards, verdict in ((450.0, torn, 20.0, "rebounds"), (614.0, whole, 0.0, "sticks")):
-        agreed = found("Cu", velocity, hold, upwards)
+    for velocity, bonds, upwards, verdict in ((450.0, torn, 20.0, "rebounds"), (614.0, whole, 0.0, "sticks")):
+        agreed = found("Cu", velocity, bonds, upwards)
         assert agreed.verdict == agreed.bonds == verdict
         assert f"it {verdict} by the formula, too" in agreed.rests_on
 
 
 def test_a_metal_without_a_formula_is_judged_by_its_bonds_and_named() -> None:
     impact = plan(scene_with(particle__material="V")).impact
-    found = judge(COHESIVE, impact, MASS, 20.0, opened(1e-6).hold)
+    found = judge(COHESIVE, impact, MASS, 20.0, opened(1e-6).bonds)
     assert found.verdict == found.bonds == "rebounds"
     assert found.rests_on.endswith("no formula: V has no tensile strength (sigma_TS)")
 

@@ -325,7 +325,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
         on = effects_of == "all"
         assert (domains.target.conduction is not None) == (domains.contact.friction > 0) == on
         assert bool(len(domains.target.dashpot_nodes)) == on
-        assert (domains.contact.friction_heat > 0.0) == on
+        assert (domains.contact.sums.friction_heat > 0.0) == on
         assert domains.target.active_elements < 0.95 * len(
             domains.target.mesh.conn
         )  # those that the waves have reached

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from coupler import Result, Scene
 from coupler.contact.bodies import ContactPast
+from coupler.contact.contact import ContactSums
 from coupler.contact.model import new_history
 from coupler.core.records import rows_of
 from coupler.core.threads import RANGES, share
@@ -59,7 +60,7 @@ def whole() -> Bodies:
     assert bodies.contact is not None
     springs = bodies.contact.past().nodes
     springs["spring"] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
-    bodies.contact.continue_from(ContactPast(springs, friction_heat=2e-9))
+    bodies.contact.continue_from(ContactPast(springs, ContactSums(friction_heat=2e-9)))
     return bodies
 
 
@@ -124,7 +125,7 @@ def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     held = contact.pairs.penalty_energy
     contact.search(x, 1e-7, part.bond, moving)
     contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
-    assert contact.pairs.dropped == 0
+    assert contact.pairs.sums.dropped == 0
     assert 0.0 < 0.9 * held < contact.pairs.penalty_energy <= held  # some pass to bonds
 
 
@@ -182,10 +183,10 @@ def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, 
     bodies.bond = None
     bodies.search(1e-7)
     assert bodies.contact is not None
-    rubbed, before = bodies.contact.pairs.friction_heat, t.balance.heat
+    rubbed, before = bodies.contact.pairs.sums.friction_heat, t.balance.heat
     for _ in range(3):
         bodies.forces(1e-10)
-    heat = bodies.contact.pairs.friction_heat - rubbed
+    heat = bodies.contact.pairs.sums.friction_heat - rubbed
     assert heat > 1e-14
     if way == "numbered anew":
         after = bodies.renumbered((0.0, 0.0, 0.0))
