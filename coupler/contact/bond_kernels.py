@@ -1,4 +1,4 @@
-"""Bonds of nodes to triangles: pairing, damage, cohesive forces (numba). Rows in order: the same sums every time."""
+"""Bonds of nodes to triangles: damage, cohesive forces (numba). Rows in order: the same sums every time."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -8,7 +8,6 @@ import numpy as np
 from ..compiling import njit
 from ..core.arrays import Bools, Floats, Ints, Vector
 from ..geometry.vector_kernels import add, area_vector, cross, from_foot
-from .closest import closest_on_triangle
 
 
 class Ties(NamedTuple):
@@ -40,41 +39,6 @@ class Ties(NamedTuple):
     traction: Floats
     slid: Floats
     spent: Floats
-
-
-@njit(cache=True, nogil=True)
-def facing(
-    points: Floats, outward: Floats, start: Ints, boxes: Ints, ids: Ints, facets: Ints, x: Floats, face: Ints, weights:
-    Floats, gap: Floats,
-) -> None:  # fmt: skip
-    """The closest triangle that faces each point, if any: face (n,), weights (n,3), signed gap (n,) m are written.
-
-    outward (n,3): normals of the surface at the points; a triangle faces a point when its normal is against the point's. start, boxes:
-    candidate pairs as `broad.pairs_within` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is closest, the
-    triangle whose normal is nearest to the line to the point decides inside or outside.
-    """
-    for i in range(len(points)):
-        p, o = points[i], outward[i]
-        best = 1e300
-        straight = -1.0
-        for r in range(start[i], start[i + 1]):
-            t = facets[ids[boxes[r]]]
-            A, B, C = x[t[0]], x[t[1]], x[t[2]]
-            n0, n1, n2 = area_vector(A, B, C)
-            if n0 * o[0] + n1 * o[1] + n2 * o[2] >= 0.0:
-                continue
-            a, b, c = closest_on_triangle(p, A, B, C)
-            d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
-            dd = d0 * d0 + d1 * d1 + d2 * d2
-            if dd > best * (1.0 + 1e-9):
-                continue
-            dn = d0 * n0 + d1 * n1 + d2 * n2
-            align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
-            if dd < best * (1.0 - 1e-9) or align > straight:
-                best, straight = dd, align
-                face[i] = ids[boxes[r]]
-                weights[i, 0], weights[i, 1], weights[i, 2] = a, b, c
-                gap[i] = sqrt(dd) if dn >= 0.0 else -sqrt(dd)
 
 
 @njit(cache=True, nogil=True)

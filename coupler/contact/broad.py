@@ -28,21 +28,6 @@ def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 @njit(cache=True, nogil=True)
-def corners(facets: Ints, ids: Ints, n: int) -> NDArray[np.int64]:
-    """Nodes of the triangles `ids`, ascending; n: how many nodes there are in all."""
-    has, nodes = np.zeros(n, np.bool_), np.empty(3 * len(ids), np.int64)
-    count = 0
-    for r in range(len(ids)):
-        for i in range(3):
-            node = facets[ids[r], i]
-            if not has[node]:
-                has[node] = True
-                nodes[count] = node
-                count += 1
-    return np.sort(nodes[:count])
-
-
-@njit(cache=True, nogil=True)
 def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np.int64]:
     """Those of the points `ids` of x (n,3) that lie in the box [low, high]."""
     inside = np.empty(len(ids), np.int64)

@@ -106,6 +106,16 @@ def _closest_of(
 
 
 @njit(cache=True, nogil=True)
+def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, weights: Floats, gap: Floats) -> None:
+    """The closest candidate of each of points (n,3), if any: face (n,), weights (n,3), signed gap (n,) m are written."""
+    for i in range(len(points)):
+        among = c.face[c.start[i] : c.start[i + 1]]
+        face[i], best, side, wa, wb, wc = _closest_of(points[i], ANY, ANY, -1, among, faces, x, inf, 0.0)
+        weights[i, 0], weights[i, 1], weights[i, 2] = wa, wb, wc
+        gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
+
+
+@njit(cache=True, nogil=True)
 def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
     """The least number above `after` of a body with a face of `among` whose box is within reach, m2; ANY for none."""
     found = ANY
@@ -136,49 +146,19 @@ def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _narrow(i: int, p: Floats, c: Candidates, faces: Faces, proj: Projections, distance: float) -> int:
-    """Put those candidates of point i, at p, first whose boxes come within a distance (m), and its closest faces; how many they are.
-
-    As long as point and faces have moved by less, no other candidate can be closest.
-    """
-    among = c.face[c.start[i] : c.start[i + 1]]
-    others = np.empty(len(among), np.int64)
-    count = apart = 0
-    for q in range(len(among)):
-        r = among[q]
-        near = r == proj.face[i, 0] or r == proj.face[i, 1]
-        if near or _box_distance2(p, faces[r].low, faces[r].high) <= distance * distance * (1.0 + 4e-9):
-            among[count] = r
-            count += 1
-        else:
-            others[apart] = r
-            apart += 1
-    among[count:] = others[:apart]
-    return count
-
-
-@njit(cache=True, nogil=True)
 def closest_faces(
-    i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, more: float, proj: Projections
-) -> None:  # fmt: skip
+    i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, proj: Projections
+) -> None:
     """Project point i on its candidates: on the closest one; where it lies in several bodies, or outside one and inside another, on the
     closest ones of the two in which it lies deepest.
 
     A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
 
     x (N,3) m: nodes, which have moved by `shift` m at the most since the boxes of faces. limit m: the deepest
-    penetration in another body than that of the closest face. more m: so much farther than the projection faces become inner
-    candidates, where the point has moved away from those that it had.
+    penetration in another body than that of the closest face.
     """
-    p, partner = points.x[i], points.partner[i]
-    u, v, w = p[0] - c.at[i, 0], p[1] - c.at[i, 1], p[2] - c.at[i, 2]
-    left = c.within[i] - shift - sqrt(u * u + v * v + w * w)  # m: all faces nearer than that are inner candidates
-    among = c.face[c.start[i] : c.inner[i] if limit <= left else c.start[i + 1]]
+    p, partner, among = points.x[i], points.partner[i], c.face[c.start[i] : c.start[i + 1]]
     face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, proj.face[i, 0], among, faces, x, inf, shift)
-    anew = limit > left or sqrt(best) > left
-    if anew and limit <= left:
-        among = c.face[c.start[i] : c.start[i + 1]]
-        face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, face, among, faces, x, inf, shift)
     gap = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
     proj.face[i, 1], proj.gap[i, 1] = -1, 0.0
     proj.foot[i, 1, :] = 0.0
@@ -201,11 +181,6 @@ def closest_faces(
             body = _next_body(body, p, among, faces, reach)
     proj.face[i, 0], proj.gap[i, 0] = face, gap
     proj.foot[i, 0, 0], proj.foot[i, 0, 1], proj.foot[i, 0, 2] = wa, wb, wc
-    if anew:
-        distance = max(abs(gap), limit) + more
-        c.inner[i] = c.start[i] + _narrow(i, p, c, faces, proj, distance + shift)
-        c.within[i] = distance + shift
-        c.at[i, 0], c.at[i, 1], c.at[i, 2] = p[0], p[1], p[2]
 
 
 @njit(cache=True, nogil=True)

@@ -7,14 +7,14 @@ from typing import Annotated
 import numpy as np
 
 from ..core import safety
-from ..core.arrays import Floats, Ints, SpringTable
+from ..core.arrays import Floats, Ints, SpringTable, occurring
 from ..core.loops import PARTS
 from ..core.records import Shape, Sums, copied, put
 from ..core.threads import together
 from ..errors import SolverError
 from . import broad, closest
 from . import kernels as k
-from .model import ANY, FACE, HISTORY, Candidates, Nodes, Points, Projections, motion, new_history
+from .model import ANY, HISTORY, Candidates, Nodes, Points, Projections, faces_of, motion, new_history
 
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
@@ -72,8 +72,7 @@ class Contact(ContactState):
         n, bodies = len(owner), len(spacing)
         self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
-        self.faces = np.zeros(len(facets), FACE)
-        self.faces["nodes"], self.faces["body"] = facets, body
+        self.faces = faces_of(facets, body)
         node = np.full(n, -1) if node is None else node
         x, v, f = np.zeros((3, n, 3))
         k_of, h_of, far = self.stiffness[owner], self.spacing[owner], np.full(n, np.inf)
@@ -83,9 +82,7 @@ class Contact(ContactState):
         super().__init__(new_history(n), np.zeros(n), np.zeros(len(facets)))
         #: The points that may touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
-        self._candidates = Candidates(
-            np.zeros(n + 1, np.int64), np.zeros(0, np.int64), np.zeros(n, np.int64), np.full(n, -np.inf), np.zeros((n, 3))
-        )  # fmt: skip
+        self._candidates = Candidates(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
         self._projections = Projections(
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
@@ -160,9 +157,7 @@ class Contact(ContactState):
             )
         closest.box_faces(x, self.faces)
         k.add_travel(0, len(self.spacing), self._motion, x, len(x))
-        gone = self._motion.travel[self.points.owner]  # from here on faces move from zero
-        self._projections.clearance[:] -= gone
-        self._candidates.within[:] -= gone
+        self._projections.clearance[:] -= self._motion.travel[self.points.owner]  # from here on faces move from zero
         self._motion.travel[:] = 0.0
         speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
         fastest = float(speed.max(initial=0.0))
@@ -207,7 +202,7 @@ class Contact(ContactState):
             s, spacing = self._searches[body], float(self.spacing[body])
             near = self._around(body, self.facing[body], spacing + 2.0 * travel)
             s.known = np.isin(self.facing[body], near, assume_unique=True)
-            s.nodes = broad.corners(self.faces["nodes"], near, len(x))
+            s.nodes = occurring(self.faces["nodes"][near], len(x))
             own = slice(self.bounds[body], self.bounds[body + 1])
             far[own] = self._own_travel(body, travel, share) + self._skin * spacing
             s.reach, self._active[body] = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
@@ -226,7 +221,6 @@ class Contact(ContactState):
         rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | sheared))
         away = due.copy()
         proj.face[q] = -1
-        self._candidates.within[q] = -np.inf  # all candidates are tried
         self._set_candidates(due, start, face)
         # faces near a point at rest may be missing here: the contact of a cut ends at its rim
         rows, still = self._moving(rows, active)
@@ -245,7 +239,6 @@ class Contact(ContactState):
             kept, still = self._moving(kept, active)
             if len(still) == 0:
                 break
-        self._candidates.within[q] = -np.inf
         history["depth"][away] = 0.0
         away[rows] = False  # what has no candidate is outside
         history["ignored"][away], history["body"][away] = 0.0, ANY
@@ -264,10 +257,7 @@ class Contact(ContactState):
 
     def _set_candidates(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
         """Replace the candidates of the points of a mask (n,)."""
-        c = self._candidates
-        start, face = closest.merged(fresh, c.start, c.face, start, face)
-        c.inner[~fresh] += (start - c.start)[:-1][~fresh]
-        self._candidates = c._replace(start=start, face=face)
+        self._candidates = Candidates(*closest.merged(fresh, *self._candidates, start, face))
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
         """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search is valid until more
@@ -308,17 +298,14 @@ class Contact(ContactState):
         rows = rows[self._projections.face[rows, 0] >= 0]
         return rows, self._projections.face[rows, 0]
 
-    def springs(self) -> list[SpringTable]:
-        """Tables of the contact springs that can act before the next search: each joins a point's node to the nodes of the closest
+    def springs(self) -> SpringTable:
+        """Table of the contact springs that can act before the next search: each joins a point's node to the nodes of the closest
         face, and, where the point lies in a second body, to the nodes of the closest face of that body."""
-        tables, proj = [], self._projections
-        for body in (0, 1):
-            rows = self.rows[proj.face[self.rows, body] >= 0]
-            corners = self.faces["nodes"][proj.face[rows, body]]
-            tables.append(
-                SpringTable.of(self.points.node[rows], corners, proj.foot[rows, body], self.points.stiffness[rows])
-            )
-        return tables
+        p, proj = self.points, self._projections
+        body, found = np.nonzero(proj.face[self.rows].T >= 0)
+        rows = self.rows[found]
+        corners = self.faces["nodes"][proj.face[rows, body]]
+        return SpringTable.of(p.node[rows], corners, proj.foot[rows, body], p.stiffness[rows])
 
     def load(self, size: int) -> Floats:
         """Row sums (size,) of the stiffness of all springs that can act before the next search, N/m; see `Bond.load`."""

@@ -157,7 +157,7 @@ def project(
             else:
                 moved += own + travel - (proj.clearance[i] - before)
             limit = _deepest(h, margin, more)
-            closest_faces(i, points, c, faces, nodes.x, travel, limit, more, proj)
+            closest_faces(i, points, c, faces, nodes.x, travel, limit, proj)
             _update_history(i, points.stiffness[i], limit, moved, before, proj, faces, h, lost[part])
             proj.at[i, 0], proj.at[i, 1], proj.at[i, 2] = points.x[i, 0], points.x[i, 1], points.x[i, 2]
             proj.clearance[i] = proj.gap[i, 0] + travel

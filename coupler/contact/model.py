@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.arrays import Floats, Histories, Ints
+from ..core.arrays import Faces, Floats, Histories, Ints
 
 ANY = -1  # body
 # m, depths that are ignored: of a point that has no contact, and of one that no search has found near a face
@@ -21,6 +21,13 @@ def new_history(points: int) -> Histories:
     history = np.zeros(points, HISTORY)
     history["ignored"][:, 0], history["body"] = UNKNOWN, ANY
     return history
+
+
+def faces_of(facets: Ints, body: Ints) -> Faces:
+    """Faces of the triangles facets (k,3) of bodies (k,), their boxes to be found (`closest.box_faces`)."""
+    faces = np.zeros(len(facets), FACE)
+    faces["nodes"], faces["body"] = facets, body
+    return faces
 
 
 class Points(NamedTuple):
@@ -49,14 +56,10 @@ class Nodes(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Faces that each point can touch before the next search: face[start[i]:start[i + 1]]. Those before inner (n,) are all whose boxes
-    come within a distance of at (n,3) m, where the point was; within (n,) m: this distance plus the travel of the faces until then."""
+    """Faces that each point can touch before the next search: face[start[i]:start[i + 1]]."""
 
     start: Ints
     face: Ints
-    inner: Ints
-    within: Floats
-    at: Floats
 
 
 class Projections(NamedTuple):

@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
+from ..core.arrays import occurring
+from ..core.records import Rows, take
 from ..errors import SolverError
-from ..geometry.triangles import area_vectors
-from . import bond_kernels, broad
+from ..geometry.triangles import area_vectors, vertex_areas, vertex_normals
+from . import broad, closest
+from .model import Candidates, faces_of
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ class Surfaces:
 
     def corners_of(self, ids: np.ndarray) -> np.ndarray:
         """Nodes of facets, ascending."""
-        return broad.corners(self.facets, ids, self._nodes)
+        return occurring(self.facets[ids], self._nodes)
 
     def spacing(self, x: np.ndarray, body: int) -> float:
         """Edge (m) of the equilateral triangles that would give a body's surface its number of facets."""
@@ -87,20 +91,18 @@ class Interface:
     node at the end of a line of contact, or alone). own (p,2): pairs of row and facet of its own body, for `behind`.
     """
 
-    nodes: np.ndarray
-    facet: np.ndarray
-    weights: np.ndarray
-    gap: np.ndarray
-    area: np.ndarray
+    nodes: Annotated[np.ndarray, Rows(dtype=np.int64)]
+    facet: Annotated[np.ndarray, Rows(dtype=np.int64)]
+    weights: Annotated[np.ndarray, Rows(3)]
+    gap: Annotated[np.ndarray, Rows()]
+    area: Annotated[np.ndarray, Rows()]
     own: np.ndarray
 
     def only(self, which: np.ndarray) -> "Interface":
         """The rows of a boolean mask (n,); their areas do not change."""
         row = np.cumsum(which) - 1
         own = self.own[which[self.own[:, 0]]]
-        own = np.stack([row[own[:, 0]], own[:, 1]], axis=1)
-        parts = {name: vars(self)[name][which] for name in ("nodes", "facet", "weights", "gap", "area")}
-        return replace(self, own=own, **parts)
+        return replace(take(self, which), own=np.stack([row[own[:, 0]], own[:, 1]], axis=1))
 
     def behind(self, surfaces: Surfaces, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A field (m,) of the elements on both sides: (mean behind each node's own facets (n,), behind its facet (n,))."""
@@ -149,17 +151,12 @@ def interface(
         raise SolverError("positions of the bodies are not finite numbers: try a smaller time step or a finer preset")
     own_ids = surfaces.facets_of(body)
     corners = surfaces.facets[own_ids]
-    vectors = area_vectors(x, corners)
-    rows = np.searchsorted(nodes, corners)
-    outward = np.zeros((len(nodes), 3))
-    for i in range(3):
-        np.add.at(outward, rows[:, i], vectors)
+    rows, outward = np.searchsorted(nodes, corners), vertex_normals(x, corners)[nodes]
     face, weights, gap = _facing(x[nodes], outward, x, surfaces.facets, ids, tolerance, surfaces.spacing(x, body))
     on = (face >= 0) & (np.abs(gap) <= tolerance)
 
     flat = on[rows].all(axis=1)
-    third = np.where(flat, np.linalg.norm(vectors, axis=1) / 3.0, 0.0)
-    area = np.bincount(rows.ravel(), np.repeat(third, 3), len(nodes))
+    area = vertex_areas(x, corners[flat])[nodes]
     own = np.stack([rows[flat].ravel(), np.repeat(own_ids[flat], 3)], axis=1)
     return Interface(nodes, face, weights, gap, area, own).only(on)
 
@@ -173,9 +170,13 @@ def _facing(
     (n,3) of its closest point; gap (n,) m, negative inside).
     """
     ids = broad.facets_within(x, facets, ids, *broad.bounds(points - reach, points + reach))
-    every = np.full(len(points), reach)
-    nobody = np.zeros(len(points), np.int64), *broad.boxes_of(x, facets[ids]), np.ones(len(ids), np.int64)
-    start, boxes = broad.pairs_within(points, every, *nobody, cell)
+    faces = faces_of(facets[ids], np.ones(len(ids), np.int64))
+    closest.box_faces(x, faces)
+    every, own = np.full(len(points), reach), np.zeros(len(points), np.int64)
+    start, near = broad.pairs_within(points, every, own, faces["low"], faces["high"], faces["body"], cell)
+    point = np.repeat(np.arange(len(points)), np.diff(start))
+    kept = np.einsum("ij,ij->i", area_vectors(x, faces["nodes"])[near], outward[point]) < 0.0
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
-    bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
-    return face, weights, gap
+    candidates = Candidates(np.concatenate([[0], np.cumsum(kept)])[start], near[kept])
+    closest.closest(points, candidates, faces, x, face, weights, gap)
+    return np.append(ids, -1)[face], weights, gap

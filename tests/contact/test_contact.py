@@ -6,7 +6,7 @@ import pytest
 from coupler.contact import broad, closest
 from coupler.contact.contact import Contact
 from coupler.contact.law import TANGENTIAL, stiffness, stored
-from coupler.contact.model import ANY, FACE, Candidates, Nodes, Points, Projections
+from coupler.contact.model import ANY, Candidates, Nodes, Points, Projections, faces_of
 from coupler.errors import SolverError
 from coupler.fe.mesh import prepare
 from coupler.geometry import mesher
@@ -184,21 +184,18 @@ class Projector:
     def __init__(self, xp: np.ndarray, x: np.ndarray, facets: np.ndarray, owner: np.ndarray, partner: np.ndarray):
         n, k = len(xp), len(facets)
         none, far = np.zeros(n, int), np.full(n, np.inf)
-        self.faces = np.zeros(k, FACE)
-        self.faces["nodes"], self.faces["body"] = facets, owner
+        self.faces = faces_of(facets, owner)
         closest.box_faces(x, self.faces)
         self.points = Points(xp, 0 * xp, 0 * xp, none, none - 1, partner, none + 1.0, none + 1.0, far)
-        lists = np.arange(n + 1) * k, np.tile(np.arange(k), n)
-        self.candidates = Candidates(*lists, none.copy(), -far, np.zeros((n, 3)))
+        self.candidates = Candidates(np.arange(n + 1) * k, np.tile(np.arange(k), n))
         self.projections = Projections(
             np.full((n, 2), ANY), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), -far
         )
 
-    def find(self, x: np.ndarray, shift: float, limit: float, more: float = 0.0) -> Projections:
+    def find(self, x: np.ndarray, shift: float, limit: float) -> Projections:
         """The projections of the points when the nodes are at x."""
         for i in range(len(self.points.x)):
-            args = self.points, self.candidates, self.faces, x, shift, limit, more, self.projections
-            closest.closest_faces(i, *args)
+            closest.closest_faces(i, self.points, self.candidates, self.faces, x, shift, limit, self.projections)
         return self.projections
 
 
@@ -228,27 +225,6 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     for _ in range(3):  # from any other guess the same
         m.face[:, 0] = rng.integers(0, len(facets), 300)
         assert projector.find(x, shift, np.inf).gap[:, 0] == pytest.approx(gap, rel=1e-9)
-
-
-@pytest.mark.parametrize("way", [0.0, 0.02, 0.3])
-def test_points_that_have_moved_find_what_they_find_among_all_candidates(rng: np.random.Generator, way: float) -> None:
-    """Two sheets, one above the other, are two bodies; both move, and points move by less and by more than is allowed for."""
-    (x, one), (above, two) = sheet(rng, bumps=0.05), sheet(rng, bumps=0.05)
-    facets, owner = np.concatenate([one, two + len(x)]), np.repeat([0, 1], [len(one), len(two)])
-    x = np.concatenate([x, above + np.array([0.0, 0.0, 0.06])])
-    xp, partner = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15], rng.integers(-1, 2, 300)
-    moved, x_moved = xp + way * rng.uniform(-0.5, 0.5, xp.shape), x + way * rng.uniform(-0.25, 0.25, x.shape)
-    projector = Projector(xp.copy(), x, facets, owner, partner)
-    projector.find(x, 0.0, 0.05, 0.05)
-    inner = projector.candidates.inner - projector.candidates.start[:-1]
-    assert inner.mean() < 0.2 * len(facets)
-    assert np.array_equal(
-        np.sort(projector.candidates.face.reshape(300, -1)), np.tile(np.arange(len(facets)), (300, 1))
-    )
-    projector.points.x[:] = moved
-    found, fresh = projector.find(x_moved, 0.5 * way, 0.05, 0.05), Projector(moved, x, facets, owner, partner)
-    for kept, right in zip(found[:3], fresh.find(x_moved, 0.5 * way, 0.05)[:3], strict=True):
-        assert np.array_equal(kept, right)
 
 
 def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: np.random.Generator) -> None:
