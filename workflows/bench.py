@@ -50,7 +50,7 @@ def block(plastic: bool) -> Target:
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01
     target.nodes.v[:] = speed * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0.3 * np.sin(3 * x[:, 0])], axis=1)
-    dt = 0.5 * target.stable_dt()[0]
+    dt = 0.5 * target.stable_dt()
     for _ in range(60 if plastic else 1):
         step(target, dt)
     return target
@@ -66,7 +66,7 @@ def elements(rows: list[tuple[str, float, str]]) -> None:
     """Microseconds per element and step."""
     for plastic in (False, True):
         target = block(plastic)
-        dt = 0.3 * target.stable_dt()[0]
+        dt = 0.3 * target.stable_dt()
         seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS) / STEPS
         name = f"tet4 {'plastic' if plastic else 'elastic'}"
         rows.append((name, seconds / len(target.mesh.conn) * 1e6, "us per element and step"))

@@ -301,7 +301,7 @@ def flying(folder: Path) -> Judged:
     kinetic, momentum, strain = splat.kinetic(), splat.momentum(), splat.elements.eps_p.copy()
     elastic, spin, steps = splat.elastic(), spin_of(splat), 0
     while splat.time < TURN:
-        dt = min(splat.stable_dt(1.0)[0], 0.1 * (TURN - splat.time) + 1e-15)
+        dt = min(splat.stable_dt(1.0), 0.1 * (TURN - splat.time) + 1e-15)
         for _ in range(10):
             splat.advance(dt)
             splat.finish()

@@ -68,7 +68,7 @@ def bar(case: str, size: float) -> dict[str, float]:
     start, steps, dt, began = t.kinetic(), 0, 0.0, clock.perf_counter()
     while t.time < known["time"]:
         if steps % 10 == 0:
-            dt = t.stable_dt()[0]
+            dt = t.stable_dt()
         t.advance(min(dt, known["time"] - t.time))
         t.finish()
         t.nodes.total[face, 2] = 0.0  # the wall
@@ -152,9 +152,9 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
             steps = int(np.ceil((END - bar.time) / dt))
             dt = (END - bar.time) / steps
         bar.run(steps, dt, wall)
-    surface, plastic = skin.positions(bar.points.x), float(bar.sums[0])
-    numerical = float(bar.internal_work - bar.elastic() - plastic)
-    total = bar.kinetic() + bar.elastic() + plastic + numerical + stored
+    surface, sums = skin.positions(bar.points.x), bar.totals()
+    plastic, numerical = sums.plastic, sums.internal_work - sums.elastic - sums.plastic
+    total = sums.kinetic + sums.elastic + plastic + numerical + stored
     result = Bar(
         engine=engine, points=bar.n, spacing_mm=bar.spacing * 1e3, length_mm=float(np.ptp(surface[:, 2])) * 1e3,
         diameter_mm=2e3 * float(np.sqrt(ConvexHull(surface[:, :2]).volume / np.pi)),

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import Thread
 from typing import TypeVar
 
 import numpy as np
@@ -25,28 +25,6 @@ from .loops import FAILED, wait_for
 RANGES = 4  # of a loop in Python, for each thread, at most
 LEAST_ROWS = 4000  # in a range of `rows_at`
 R = TypeVar("R")
-
-
-class _Loop:
-    """A loop over ranges that are taken one by one. error: the first that was raised; done: released when all parts are done."""
-
-    def __init__(self, work: Callable[[int], None], parts: int):
-        self._work, self._next, self._left = work, iter(range(parts)), parts
-        self._lock, self.done = Lock(), Lock()
-        self.done.acquire()
-        self.error: BaseException | None = None
-
-    def take(self) -> None:
-        """Compute parts until none is left."""
-        for part in self._next:
-            try:
-                self._work(part)
-            except BaseException as error:
-                self.error = self.error or error
-            with self._lock:
-                self._left -= 1
-                if not self._left:
-                    self.done.release()
 
 
 def _counters() -> Ints:
@@ -75,12 +53,21 @@ class Team:
 
     def share(self, work: Callable[[int], None], parts: int) -> None:
         """Do work(0) to work(parts - 1), each once, in any thread; all are done on return. Raises what one of them raised."""
-        loop = _Loop(work, parts)
-        self.join(lambda team: loop.take())[0] = 1
-        loop.take()
-        loop.done.acquire()
-        if loop.error is not None:
-            raise loop.error
+        left, done = iter(range(parts)), SimpleQueue[BaseException | None]()
+
+        def take(_: Ints | None = None) -> None:
+            for part in left:
+                try:
+                    work(part)
+                    done.put(None)
+                except BaseException as error:
+                    done.put(error)
+
+        self.join(take)[0] = 1
+        take()
+        for error in [done.get() for _ in range(parts)]:
+            if error is not None:
+                raise error
 
     def close(self) -> None:
         """End the threads, after the tasks that have begun."""

@@ -69,7 +69,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
 
     Each body ends with the thermal strain of its thermal_expansion(T) between the temperature
     that it came with, at which it was without stress, and ambient; where a material has none, with that of Gamma0 rho c_p / K. The
-    held faces of the substrate follow its free contraction. What yields on the way to equilibrium warms: the heat is taken away
+    fixed faces of the substrate follow its free contraction. What yields on the way to equilibrium warms: the heat is taken away
     again, until equilibrium leaves all within AT_AMBIENT.
     """
     started, t = clock.perf_counter(), bodies.target

@@ -44,7 +44,7 @@ def _stiffness(
     """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T is it then, A (g,g,3,3) by points and
     directions. Only the rows of the points [low, high) of the grid are written; occurs (g,g): which blocks are not zero.
 
-    points, weights (n,8): of the grid, for each node, the lowest point first and the highest last; weight 0 where it is held.
+    points, weights (n,8): of the grid, for each node, the lowest point first and the highest last; weight 0 where it is fixed.
     """
     own, gradients = np.empty(4 * CORNERS, np.int64), np.empty((4 * CORNERS, 3))
     shape = np.empty((4, 3))
@@ -67,15 +67,15 @@ def _stiffness(
                 w = weights[a, c]
                 if w == 0.0:
                     continue
-                place = 0
-                while place < count and own[place] != points[a, c]:
-                    place += 1
-                if place == count:
-                    own[place] = points[a, c]
-                    gradients[place] = 0.0
+                slot = 0
+                while slot < count and own[slot] != points[a, c]:
+                    slot += 1
+                if slot == count:
+                    own[slot] = points[a, c]
+                    gradients[slot] = 0.0
                     count += 1
                 for d in range(3):
-                    gradients[place, d] += w * shape[corner, d]
+                    gradients[slot, d] += w * shape[corner, d]
         law = laws[law_of[e]]
         for i in range(count):
             if not low <= own[i] < high:

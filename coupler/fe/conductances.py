@@ -36,13 +36,13 @@ class Links:
 
 class Conductors(NamedTuple):
     """Elements, or links: conn (k,4) nodes; w (k,6) m: conductance of each pair for a conductivity of 1; start, table: those around
-    each node, as in `Cells`; place (4k,4): in the row of a node, of the four nodes of each that is around it."""
+    each node, as in `Cells`; slot (4k,4): in the row of a node, of the four nodes of each that is around it."""
 
     conn: Ints
     w: Floats
     start: Ints
     table: Ints
-    place: Ints
+    slot: Ints
 
 
 @dataclass(frozen=True)
@@ -134,13 +134,13 @@ def _find_nodes(lo: int, hi: int, c: Conductors, first: Ints, count: Ints, found
         for r in range(c.start[a], c.start[a + 1]):
             nodes = c.conn[c.table[r] >> 2]
             for j in range(4):
-                place = 0
-                while place < count[a] and found[first[a] + place] != nodes[j]:
-                    place += 1
-                if place == count[a]:
-                    found[first[a] + place] = nodes[j]
+                slot = 0
+                while slot < count[a] and found[first[a] + slot] != nodes[j]:
+                    slot += 1
+                if slot == count[a]:
+                    found[first[a] + slot] = nodes[j]
                     count[a] += 1
-                c.place[r, j] = place
+                c.slot[r, j] = slot
 
 
 @njit(cache=True, nogil=True)
@@ -152,7 +152,7 @@ def _add_rows(lo: int, hi: int, c: Conductors, k: Floats, indptr: Ints, data: Fl
             for j in range(4):
                 if j != i:
                     between = k[e] * c.w[e, PAIR[i, j]]
-                    data[indptr[a] + c.place[r, j]] -= between
+                    data[indptr[a] + c.slot[r, j]] -= between
                     data[indptr[a]] += between
 
 

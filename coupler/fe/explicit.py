@@ -216,8 +216,8 @@ class Target(TargetState):
         self.reach += self.wave_speed * dt
         self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
-    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> tuple[float, int]:
-        """Largest stable time step (s, Courant factor and damping included) and the element with the smallest bound.
+    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> float:
+        """Largest stable time step (s, Courant factor and damping included).
 
         The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
         `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that become active until then count too.
@@ -231,8 +231,7 @@ class Target(TargetState):
         )
         if self.inertia.most > 0.0:
             self.inertia.choose(self, self.dt_of[:e], enough)
-        where = int(np.argmin(self.dt_of[:e]))
-        bound = float(self.dt_of[where])
+        bound = float(self.dt_of[:e].min())
         if springs is not None:
             load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
@@ -241,7 +240,7 @@ class Target(TargetState):
             if self.highest is None:
                 self.highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
             dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia))
-        return dt / (1.0 + LINEAR_VISCOSITY), where
+        return dt / (1.0 + LINEAR_VISCOSITY)
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:
         """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s; is_conducting: whether heat flows between elements.

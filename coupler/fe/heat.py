@@ -117,13 +117,6 @@ class Conduction(ConductionState):
 
 
 @njit(cache=True, nogil=True)
-def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow, fastest: Floats) -> None:
-    """`flows` of the first m elements in all threads; fastest (PARTS,) 1/s."""
-    for lo, hi, part in ranges(team, 0, m, LEAST):
-        fastest[part] = flows(lo, hi, x, volume, c, metals, a)
-
-
-@njit(cache=True, nogil=True)
 def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, value: Floats, a: Flow) -> None:
     """`means` of a value (m,) of the elements at temperatures T (m,) K, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
@@ -178,31 +171,32 @@ def excesses(lo: int, hi: int, dt: float, conn: Ints, nodal: Floats, T: Floats, 
 
 
 @njit(cache=True, nogil=True)
-def flows(
-    lo: int, hi: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow
-) -> float:  # fmt: skip
-    """Heat that each element conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,).
+def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow, fastest: Floats) -> None:
+    """Heat that each of the first m elements conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,), in all
+    threads.
 
-    k is taken at the mean of the nodes. rate (m,): k v tr(sum b b^T) / capacity, 1/s. Returns the largest rate.
+    k is taken at the mean of the nodes. rate (m,): k v tr(sum b b^T) / capacity, 1/s; fastest (PARTS,): the largest, part by part.
     """
-    T, flow, rate, largest = a.T, a.flow, a.rate, 0.0
-    for e in range(lo, hi):
-        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
-        # gradients of the shape functions of nodes 1 to 3, times six volumes
-        p0, p1, p2, q0, q1, q2, r0, r1, r2, _ = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
-        s0, s1, s2 = p0 + q0 + r0, p1 + q1 + r1, p2 + q2 + r2
-        t1, t2, t3 = T[n1] - T[n0], T[n2] - T[n0], T[n3] - T[n0]
-        g0, g1, g2 = t1 * p0 + t2 * q0 + t3 * r0, t1 * p1 + t2 * q1 + t3 * r1, t1 * p2 + t2 * q2 + t3 * r2
-        law = metals.laws[metals.of_element[e]]
-        weight = conductivity(law, 0.25 * (T[n0] + T[n1] + T[n2] + T[n3])) / (36.0 * volume[e])
-        f1, f2, f3 = p0 * g0 + p1 * g1 + p2 * g2, q0 * g0 + q1 * g1 + q2 * g2, r0 * g0 + r1 * g1 + r2 * g2
-        flow[e, 1], flow[e, 2], flow[e, 3] = -weight * f1, -weight * f2, -weight * f3
-        flow[e, 0] = weight * (f1 + f2 + f3)
-        trace = p0 * p0 + p1 * p1 + p2 * p2 + q0 * q0 + q1 * q1 + q2 * q2 + r0 * r0 + r1 * r1 + r2 * r2
-        trace += s0 * s0 + s1 * s1 + s2 * s2
-        rate[e] = 0.25 * weight * trace / a.share[e]
-        largest = max(largest, rate[e])
-    return largest
+    T, flow, rate = a.T, a.flow, a.rate
+    for lo, hi, part in ranges(team, 0, m, LEAST):
+        largest = 0.0
+        for e in range(lo, hi):
+            n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
+            # gradients of the shape functions of nodes 1 to 3, times six volumes
+            p0, p1, p2, q0, q1, q2, r0, r1, r2, _ = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
+            s0, s1, s2 = p0 + q0 + r0, p1 + q1 + r1, p2 + q2 + r2
+            t1, t2, t3 = T[n1] - T[n0], T[n2] - T[n0], T[n3] - T[n0]
+            g0, g1, g2 = t1 * p0 + t2 * q0 + t3 * r0, t1 * p1 + t2 * q1 + t3 * r1, t1 * p2 + t2 * q2 + t3 * r2
+            law = metals.laws[metals.of_element[e]]
+            weight = conductivity(law, 0.25 * (T[n0] + T[n1] + T[n2] + T[n3])) / (36.0 * volume[e])
+            f1, f2, f3 = p0 * g0 + p1 * g1 + p2 * g2, q0 * g0 + q1 * g1 + q2 * g2, r0 * g0 + r1 * g1 + r2 * g2
+            flow[e, 1], flow[e, 2], flow[e, 3] = -weight * f1, -weight * f2, -weight * f3
+            flow[e, 0] = weight * (f1 + f2 + f3)
+            trace = p0 * p0 + p1 * p1 + p2 * p2 + q0 * q0 + q1 * q1 + q2 * q2 + r0 * r0 + r1 * r1 + r2 * r2
+            trace += s0 * s0 + s1 * s1 + s2 * s2
+            rate[e] = 0.25 * weight * trace / a.share[e]
+            largest = max(largest, rate[e])
+        fastest[part] = largest
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Steps of a target towards equilibrium, with masses and held nodes of their own."""
+"""Steps of a target towards equilibrium, with masses and fixed nodes of their own."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ from .window import outside
 
 class Relaxation:
     """Quasi-static steps of a target at rest, or of a part of it: nothing of what depends on velocities acts, no bulk viscosity, no
-    absorbing faces, no conduction; masses, held nodes and steps of the target's own motion stay.
+    absorbing faces, no conduction; masses, fixed nodes and steps of the target's own motion stay.
 
-    fixed (k,): nodes that are held, those of the target and those at the edge of the part; free (n,) bool: the others. mass (n,) kg of
-    the nodes, inv_mass (n,) 1/kg, 0 of held ones; dt: last step, s; see `weigh`.
+    fixed (k,): nodes that do not move, those of the target and those at the edge of the part; free (n,) bool: the others. mass (n,) kg
+    of the nodes, inv_mass (n,) 1/kg, 0 of fixed ones; dt: last step, s; see `weigh`.
     """
 
     def __init__(self, target: Target, radius: float, dt: float):

@@ -21,7 +21,7 @@ def times(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
 def times_rows(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
     """A x of a matrix (n,k) and x (k,3)."""
     product = np.empty((A.shape[0], 3))
-    share(lambda lo, hi: _products_of_rows(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
+    share(lambda lo, hi: products_of_rows(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
 
 
@@ -82,7 +82,7 @@ def _products(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats, x: Fl
 
 
 @njit(cache=True, nogil=True)
-def _products_of_rows(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats, x: Floats, product: Floats) -> None:
+def products_of_rows(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats, x: Floats, product: Floats) -> None:
     """Rows lo to hi of a sparse matrix times x (k,3), into product (n,3)."""
     for i in range(lo, hi):
         x0 = x1 = x2 = 0.0

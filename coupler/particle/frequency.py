@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Arrays, Floats, Ints, Laws
+from ..core.arrays import Floats, Ints, Laws
 from ..core.loops import ranges
 from ..core.threads import share, together
 from ..geometry.matrix_kernels import ZERO, add_outer, applied, inverse, matrix_of, product, transposed
@@ -54,61 +54,49 @@ def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def linear_stress(
-    lo: int, hi: int, laws: Laws, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
+    team: Ints, n: int, laws: Laws, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
 ) -> None:
-    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,) for a small motion."""
+    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,) for a small motion of n points, in all threads."""
     law = laws[0]
     G = law.G
-    for i in range(lo, hi):
-        f = gradient_of(i, sides, small.u)
-        span = 0.0
-        for row in range(sides.first[i], sides.first[i + 1]):
-            d = apart(X, i, sides.neighbour[row])
-            span += sides.w[row] * dot(d, d)
-        H, spring = ZERO, V * ACROSS * G / span
-        for row in range(sides.first[i], sides.first[i + 1]):
-            d, u = apart(X, i, sides.neighbour[row]), apart(small.u, i, sides.neighbour[row])
-            c = spring * sides.w[row]
-            e = (
-                c * (u[0] - f[0] * d[0] - f[1] * d[1] - f[2] * d[2]),
-                c * (u[1] - f[3] * d[0] - f[4] * d[1] - f[5] * d[2]),
-                c * (u[2] - f[6] * d[0] - f[7] * d[1] - f[8] * d[2]),
-            )
-            small.residual[row, 0], small.residual[row, 1], small.residual[row, 2] = e
-            H = add_outer(H, e, d)
-        B, _ = inverse(matrix_of(F, i))
-        e00, e01, e02, e10, e11, e12, e20, e21, e22 = product(f, B)
-        mean = (bulk_stiffness(law, J[i]) * J[i] - 2.0 / 3.0 * G) * (e00 + e11 + e22)
-        xy, xz, yz = G * (e01 + e10), G * (e02 + e20), G * (e12 + e21)
-        sigma = mean + 2.0 * G * e00, xy, xz, xy, mean + 2.0 * G * e11, yz, xz, yz, mean + 2.0 * G * e22
-        P = product(sigma, transposed(B))
-        for r in range(9):
-            small.Q[i, r] = -V * J[i] * P[r] + H[r]
+    for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
+        for i in range(lo, hi):
+            f = gradient_of(i, sides, small.u)
+            span = 0.0
+            for row in range(sides.first[i], sides.first[i + 1]):
+                d = apart(X, i, sides.neighbour[row])
+                span += sides.w[row] * dot(d, d)
+            H, spring = ZERO, V * ACROSS * G / span
+            for row in range(sides.first[i], sides.first[i + 1]):
+                d, u = apart(X, i, sides.neighbour[row]), apart(small.u, i, sides.neighbour[row])
+                c = spring * sides.w[row]
+                e = (
+                    c * (u[0] - f[0] * d[0] - f[1] * d[1] - f[2] * d[2]),
+                    c * (u[1] - f[3] * d[0] - f[4] * d[1] - f[5] * d[2]),
+                    c * (u[2] - f[6] * d[0] - f[7] * d[1] - f[8] * d[2]),
+                )
+                small.residual[row, 0], small.residual[row, 1], small.residual[row, 2] = e
+                H = add_outer(H, e, d)
+            B, _ = inverse(matrix_of(F, i))
+            e00, e01, e02, e10, e11, e12, e20, e21, e22 = product(f, B)
+            mean = (bulk_stiffness(law, J[i]) * J[i] - 2.0 / 3.0 * G) * (e00 + e11 + e22)
+            xy, xz, yz = G * (e01 + e10), G * (e02 + e20), G * (e12 + e21)
+            sigma = mean + 2.0 * G * e00, xy, xz, xy, mean + 2.0 * G * e11, yz, xz, yz, mean + 2.0 * G * e22
+            P = product(sigma, transposed(B))
+            for r in range(9):
+                small.Q[i, r] = -V * J[i] * P[r] + H[r]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def linear_forces(lo: int, hi: int, p: Pairs, small: Small) -> None:
-    """Pass 2 of `enriched_kernels` without viscosity."""
-    for row in range(lo, hi):
-        residual = apart(small.residual, p.sides[row, 1], p.sides[row, 0])
-        f = stress_force(row, p.points[row, 0], p.points[row, 1], p.gradient, small.Q, residual)
-        small.force[row, 0], small.force[row, 1], small.force[row, 2] = f
-
-
-@njit(cache=True, nogil=True)
-def stress_of_all(team: Ints, n: int, of_points: Arrays) -> None:
-    """`linear_stress` of n points in all threads."""
-    for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
-        linear_stress(lo, hi, *of_points)
-
-
-@njit(cache=True, nogil=True)
-def forces_of_all(team: Ints, n: int, pairs: Pairs, small: Small, of_sum: Arrays) -> None:
-    """`linear_forces` of all pairs, and their sums at n points, in all threads."""
-    for lo, hi, _ in ranges(team, 0, len(pairs.points), k.LEAST_PAIRS):
-        linear_forces(lo, hi, pairs, small)
+def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, total: Floats) -> None:
+    """Pass 2 of `enriched_kernels` without viscosity, and the sums of the forces at n points, total (n,3), in all threads."""
+    for lo, hi, _ in ranges(team, 0, len(p.points), k.LEAST_PAIRS):
+        for row in range(lo, hi):
+            residual = apart(small.residual, p.sides[row, 1], p.sides[row, 0])
+            f = stress_force(row, p.points[row, 0], p.points[row, 1], p.gradient, small.Q, residual)
+            small.force[row, 0], small.force[row, 1], small.force[row, 2] = f
     for lo, hi, _ in ranges(team, 1, n, k.LEAST_POINTS):
-        k.sum_forces(lo, hi, *of_sum)
+        k.sum_forces(lo, hi, sides, small.force, total)
 
 
 class PointFrequency:
@@ -168,8 +156,8 @@ class PointFrequency:
         """Turn the small motion u of the points into minus the accelerations that it makes."""
         n, small = len(J), self._small
         self._fetch(small.u)
-        together(stress_of_all, n, (self._law, self._volume, self._sides, self._X, F, J, small))
+        together(linear_stress, n, self._law, self._volume, self._sides, self._X, F, J, small)
         self._fetch(small.Q, small.residual)
-        together(forces_of_all, n, self._pairs, small, (self._sides, small.force, self._f))
+        together(linear_forces, n, self._sides, self._pairs, small, self._f)
         self._slow(self._f)
         np.divide(self._f, -self._mass, out=small.u[:n])

@@ -329,18 +329,6 @@ class Particle(LocalState, ABC):
         together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)
         return np.append(parts[:, :5].sum(axis=0), parts[:, 5].max())
 
-    def kinetic(self) -> float:
-        """Kinetic energy in J (between runs)."""
-        return float(self._summed()[0])
-
-    def momentum(self) -> np.ndarray:
-        """Linear momentum (3,), kg m/s."""
-        return self._summed()[2:5]
-
-    def elastic(self) -> float:
-        """Recoverable energy in J."""
-        return self._recoverable(float(self._summed()[1]))
-
     def _recoverable(self, stored: float) -> float:
         """Recoverable energy, J, of the energy that stresses hold: without the heat in it."""
         return stored - float(self.sums[1])

@@ -34,7 +34,7 @@ class DistributedParticle:
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
-        self._forget()
+        self._points: PointState | None = None  # gathered since the last step
         self.failure: BaseException | None = None
         if self._alone:
             self.x, self.v, self.f_ext = self._part.points.x, self._part.points.v, self._part.f_ext
@@ -91,13 +91,8 @@ class DistributedParticle:
             whole[ids] = part
         return whole
 
-    def _forget(self) -> None:
-        """Forget what has been gathered from the points."""
-        self._stress: np.ndarray | None = None
-        self._points: PointState | None = None
-
     def _sum_up(self) -> PointTotals:
-        self._forget()
+        self._points = None
         return PointTotals.over(self.ask("totals"))
 
     @property
@@ -112,9 +107,7 @@ class DistributedParticle:
 
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
-        if self._stress is None:
-            self._stress = self.whole("stress")
-        return self._stress
+        return self.whole("stress")
 
     def carried(self) -> dict[str, np.ndarray]:
         """State of the metal for a mesh of the points in their present positions, by name (`physics.metal`)."""
@@ -124,7 +117,7 @@ class DistributedParticle:
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into the temperature of the points."""
         self.ask("warm", each=[heat[ids] for ids in self._owner])
-        self._forget()
+        self._points = None
 
     def state(self) -> ParticleState:
         """The state of the whole particle, points in the order they were given."""
@@ -138,7 +131,7 @@ class DistributedParticle:
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.time, self.steps, self.dt = state.whole.time, state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS knows its strains again only after the next step
-        self._forget()
+        self._points = None
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")
 

@@ -127,13 +127,13 @@ class Bodies:
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
         t = self.target
-        dt = t.stable_dt(enough, ahead, self.bond)[0]
+        dt = t.stable_dt(enough, ahead, self.bond)
         return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.most_nodes)
 
     def springs(self) -> list[SpringTable]:
         """Tables of the springs of bonds and contact between the bodies. Call it after a search."""
-        springs = self.contact.pairs.springs() if self.contact is not None else []
-        return [*springs, self.bond.springs()] if self.bond is not None else springs
+        pairs = self.contact.pairs if self.contact is not None else None
+        return [each.springs() for each in (pairs, self.bond) if each is not None]
 
     @property
     def energy(self) -> float:

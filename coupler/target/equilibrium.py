@@ -31,7 +31,7 @@ LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itse
 # About the critical one of the slowest motion. More slows that one down; all faster ones decay as fast with this.
 SLOW_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most
-BACK = 20  # steps in which nodes that are held are moved, and bodies that lie in each other are pushed apart
+BACK = 20  # steps in which fixed nodes are moved, and bodies that lie in each other are pushed apart
 LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
@@ -87,10 +87,9 @@ def settle(
 
     kinetic_0: J of the impacts before, the scale of the remaining energy; release_time: s of real motion, in which the energy released
     afterwards is measured. radius: m from the start of the numbering, beyond which no node moves, unless this holds more than LOCAL of
-    the elements; pending heat becomes pressure there too. known: of an equilibrium of these bodies before, and for the next. back: held
-    nodes (k,), and by how much (k,3) m they are moved in this time. This time is not part of the simulated time: no heat is conducted
-    during it. Returns what it took and what was
-    left. Raises SolverError when a tetrahedron inverts.
+    the elements; pending heat becomes pressure there too. known: of an equilibrium of these bodies before, and for the next. back:
+    fixed nodes (k,), and by how much (k,3) m they are moved in this time. This time is not part of the simulated time: no heat is
+    conducted during it. Returns what it took and what was left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
@@ -200,7 +199,7 @@ def _run_for(bodies: Bodies, time: float) -> float:
     """Run `time` s with real masses and no damping; returns the largest kinetic energy, J."""
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
-        _search(bodies, SEARCH_EVERY * t.stable_dt()[0])
+        _search(bodies, SEARCH_EVERY * t.stable_dt())
         dt = min(safety.SETTLED * bodies.stable_dt(1.0), left)
         for _ in range(SEARCH_EVERY):
             t.advance(dt, is_conducting=False)

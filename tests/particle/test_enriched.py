@@ -94,9 +94,9 @@ def test_viscosity_is_all_that_an_elastic_body_loses(made: Build) -> None:
     """A ball that swings freely, long waves and short: kinetic and elastic energy go into the viscosity's line, to 1e-3 of it."""
     p = made(*packing.sphere(D, 400))
     move(p, p.X * np.array([4e5, 3e5, -6e5]) + 2.0 * np.random.default_rng(3).normal(size=p.X.shape))
-    start = p.kinetic() + p.elastic()
+    start = p.totals().kinetic + p.totals().elastic
     p.run(1500, 5e-12, lambda: None)
-    lost = start - p.kinetic() - p.elastic()
+    lost = start - p.totals().kinetic - p.totals().elastic
     assert lost > 0.1 * start
     assert p.sums[2] == pytest.approx(lost, rel=1e-3)
     assert p.sums[3] == 0.0
@@ -111,12 +111,12 @@ def test_momentum_and_energy_of_a_violent_spin(made: Build) -> None:
     def spin() -> np.ndarray:
         return np.cross(p.points.x, p.mass[:, None] * p.points.v).sum(axis=0)
 
-    L, linear, start = spin(), p.momentum(), p.kinetic()
+    L, linear, start = spin(), p.totals().momentum, p.totals().kinetic
     p.run(400, 2e-11, lambda: None)
     assert p.points.eps_p.mean() > 0.3
     assert np.abs(spin() - L).max() < 1e-12 * np.abs(L).max()
-    assert np.abs(p.momentum() - linear).max() < 1e-12 * p.mass.sum() * 100.0
-    assert p.kinetic() + p.elastic() + p.sums[0] == pytest.approx(start, rel=2e-3)
+    assert np.abs(p.totals().momentum - linear).max() < 1e-12 * p.mass.sum() * 100.0
+    assert p.totals().kinetic + p.totals().elastic + p.sums[0] == pytest.approx(start, rel=2e-3)
 
 
 def test_a_free_spin_goes_on_as_it_is(made: Build) -> None:
@@ -127,15 +127,15 @@ def test_a_free_spin_goes_on_as_it_is(made: Build) -> None:
     """
     p = made(*packing.sphere(D, 60))
     move(p, np.cross([0.0, 0.0, 2e7], p.X))
-    start, sizes, dt = p.kinetic(), [], 0.3 * p.spacing / p.wave_speed
+    start, sizes, dt = p.totals().kinetic, [], 0.3 * p.spacing / p.wave_speed
     for time in (0.5e-6, 3e-6):
         p.run(round((time - p.time) / dt), dt, lambda: None)
         arm = p.points.x - p.points.x.mean(axis=0)
         sizes.append((np.ptp(arm[:, 2]), np.hypot(*arm[:, :2].T).max()))
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
-    stored = p.kinetic() + p.elastic()
+    stored = p.totals().kinetic + p.totals().elastic
     assert stored + p.sums[2] == pytest.approx(start, rel=1e-4)
-    assert p.internal_work - p.elastic() == pytest.approx(p.sums[2], abs=1e-4 * start)
+    assert p.internal_work - p.totals().elastic == pytest.approx(p.sums[2], abs=1e-4 * start)
 
 
 def stiffness(p: EnrichedParticle) -> np.ndarray:
@@ -250,10 +250,10 @@ def test_a_restored_particle_goes_on_to_the_last_bit(made: Build, inertia: float
     first.run(50, 1e-11, lambda: None)
     first.stable_dt()
     assert (first._inertia.cells > 0) == (inertia > 0.0)
-    state, elastic_energy = first.state(), first.elastic()
+    state, elastic_energy = first.state(), first.totals().elastic
     first.run(50, 1e-11, lambda: None)
     second.restore(state)
-    assert second.elastic() == elastic_energy
+    assert second.totals().elastic == elastic_energy
     second.run(50, 1e-11, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "unseen"):
         assert np.array_equal(first.get(name), second.get(name)), name

@@ -117,14 +117,14 @@ def free_beam(points: int, **numerics: float) -> tuple[float, float]:
     body.points.v[:, 2] = 0.002 * body.wave_speed * mode
     body.points.v[:, 0] = -0.002 * body.wave_speed * slope * body.X[:, 2]
     body.points.vest[:] = body.points.v
-    kinetic = body.kinetic()
+    kinetic = body.totals().kinetic
     # Pickett (1945), as in ASTM E1876: with shear and rotary inertia, within 0.1 %
     q = t / L
     T1 = 1 + 6.585 * (1 + 0.0752 * nu + 0.8109 * nu**2) * q**2 - 0.868 * q**4
     T1 -= 8.340 * (1 + 0.2023 * nu + 2.173 * nu**2) * q**4 / (1 + 6.338 * (1 + 0.1408 * nu + 1.536 * nu**2) * q**2)
     frequency = np.sqrt(E * t**3 / (0.9465 * rho * L * t * L**3 * T1))
     times, amplitudes = swing(body, mode, lambda: None, 0.7 / frequency)
-    lost = 1.0 - (body.kinetic() + body.elastic()) / kinetic
+    lost = 1.0 - (body.totals().kinetic + body.totals().elastic) / kinetic
     body.close()
     return 0.5 / half_period(times, amplitudes) / frequency, lost
 
@@ -175,7 +175,7 @@ class Pair:
             for _ in range(2)
         ]
         self.halves = (slice(0, n), slice(n, 2 * n))
-        self.kinetic_0 = p.kinetic()
+        self.kinetic_0 = p.totals().kinetic
         self.momentum_of_one = float(p.mass[:n].sum()) * speed
 
     def touch(self) -> None:
@@ -208,14 +208,19 @@ class Pair:
         """Over the initial kinetic energy."""
         p = self.particle
         contact = sum(c.penalty_energy for c in self.contacts)
-        rows = {"kinetic": p.kinetic(), "elastic": p.elastic(), "plastic": float(p.sums[0]), "contact": contact}
-        rows["numerical"] = p.internal_work - p.elastic() - float(p.sums[0])
+        rows = {
+            "kinetic": p.totals().kinetic,
+            "elastic": p.totals().elastic,
+            "plastic": float(p.sums[0]),
+            "contact": contact,
+        }
+        rows["numerical"] = p.internal_work - p.totals().elastic - float(p.sums[0])
         rows["total"] = sum(rows.values())
         return {name: value / self.kinetic_0 for name, value in rows.items()}
 
     def check(self, symmetry: float) -> None:
         p = self.particle
-        assert np.abs(p.momentum()).max() < 1e-12 * self.momentum_of_one
+        assert np.abs(p.totals().momentum).max() < 1e-12 * self.momentum_of_one
         assert self.energies()["total"] == pytest.approx(1.0, abs=2e-3)
         a, b = self.halves
         assert np.abs(p.points.x[a] - p.points.x[b] * TURN).max() < symmetry * D

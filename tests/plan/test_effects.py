@@ -202,7 +202,7 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
                 record[name] = replaced
     x = m.points - 0.5
     t.nodes.v[:] = 500.0 * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], -0.3 * x[:, 2]], axis=1)
-    dt = 0.5 * t.stable_dt()[0]
+    dt = 0.5 * t.stable_dt()
     for _ in range(10):
         t.advance(dt)
         t.finish()
