@@ -41,17 +41,6 @@ def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np
 
 
 @njit(cache=True, nogil=True)
-def farthest(x: Floats, rows: Ints, before: Floats) -> float:
-    """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
-    most = 0.0
-    for q in range(len(rows)):
-        a, b = x[rows[q]], before[q]
-        u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-        most = max(most, u * u + v * v + w * w)
-    return float(np.sqrt(most))
-
-
-@njit(cache=True, nogil=True)
 def boxes_of(x: Floats, facets: Ints) -> tuple[Floats, Floats]:
     """Boxes, low and high (k,3) m, around triangles (k,3) of nodes x (N,3)."""
     low, high = np.empty((len(facets), 3)), np.empty((len(facets), 3))

@@ -182,9 +182,9 @@ class Contact(ContactState):
         s, own = self._searches[body], self._own_travel(body, travel, share)
         if active > self._active[body] or s.reach <= own:
             return False
-        here = np.arange(self.bounds[body], self.bounds[body + 1])
-        moved = broad.farthest(self.points.x, here, s.point_x) + broad.farthest(x, s.nodes, s.node_x)
-        if moved + own > s.reach:
+        here = slice(self.bounds[body], self.bounds[body + 1])
+        moved = self.points.x[here] - s.point_x, x[s.nodes] - s.node_x
+        if own + sum(np.sqrt(np.einsum("ij,ij->i", m, m).max(initial=0.0)) for m in moved) > s.reach:
             return False
         others = self.facing[body][~s.known]
         return len(self._around(body, others, 0.5 * float(self.spacing[body]) + travel)) == 0

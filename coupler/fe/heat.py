@@ -129,7 +129,9 @@ def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, v
 def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elements: Elements, a: Flow) -> None:
     """A step of dt (s) of the first n nodes and m elements with the `flows`, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
-        excesses(lo, hi, dt, c.conn, a.T, elements.T, a.rate, a.own)
+        for e in range(lo, hi):  # what it loses of its temperature above the mean of its nodes
+            n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
+            a.own[e] = dt * a.rate[e] * (elements.T[e] - 0.25 * (a.T[n0] + a.T[n1] + a.T[n2] + a.T[n3]))
         shares(lo, hi, c, metals, elements.T, a.share)
     for lo, hi, _ in ranges(team, 1, n, LEAST):
         means(lo, hi, c, a.share, a.own, a.capacity, a.mean)
@@ -160,14 +162,6 @@ def means(lo: int, hi: int, c: Cells, share: Floats, value: Floats, capacity: Fl
             weighted += share[e] * value[e]
         capacity[a] = total
         mean[a] = weighted / total if total > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True)
-def excesses(lo: int, hi: int, dt: float, conn: Ints, nodal: Floats, T: Floats, rate: Floats, own: Floats) -> None:
-    """What of its temperature above the mean of its nodes each element loses over dt (s), K, into own (m,)."""
-    for e in range(lo, hi):
-        mean = 0.25 * (nodal[conn[e, 0]] + nodal[conn[e, 1]] + nodal[conn[e, 2]] + nodal[conn[e, 3]])
-        own[e] = dt * rate[e] * (T[e] - mean)
 
 
 @njit(cache=True, nogil=True)

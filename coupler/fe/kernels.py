@@ -6,13 +6,14 @@ nodal pressure is that of Bonet & Burton (1998): the volume ratio, and with it t
 tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from locking in isochoric flow.
 """
 
-from math import acos, cos, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Vector
 from ..core.loops import ranges
+from ..geometry.matrix_kernels import LARGEST, eigenvalue
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
@@ -179,19 +180,6 @@ def advance(
         gather_forces(lo, hi, c, elements.fe, nodes.f)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _largest_eigenvalue(a: float, b: float, c: float, d: float, e: float, f: float) -> float:
-    """Largest eigenvalue of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""
-    mean = (a + b + c) / 3.0
-    off = f * f + e * e + d * d
-    spread = sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)
-    if spread <= 1e-14 * abs(mean):
-        return mean
-    a, b, c, d, e, f = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread, d / spread, e / spread, f / spread
-    half_det = 0.5 * (a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e))
-    return mean + 2.0 * spread * cos(acos(min(max(half_det, -1.0), 1.0)) / 3.0)
-
-
 @njit(cache=True, nogil=True)
 def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Metals, dt_of: Floats) -> None:
     """Bound on the stable time step of each element, s, into dt_of (m,): 0 where it is inverted or no number.
@@ -213,7 +201,7 @@ def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Met
         xy = (c00 * c01 + c10 * c11 + c20 * c21 + s0 * s1) * i2
         J = 0.25 * (J_node[n0] + J_node[n1] + J_node[n2] + J_node[n3])
         lame = bulk_stiffness(law, J) / J - 2.0 / 3.0 * law.G
-        stiffness = lame * (xx + yy + zz) + 2.0 * law.G * _largest_eigenvalue(xx, yy, zz, yz, xz, xy)
+        stiffness = lame * (xx + yy + zz) + 2.0 * law.G * eigenvalue(xx, yy, zz, yz, xz, xy, LARGEST)
         omega2 = 4.0 * J / law.rho * stiffness  # density now is rho0 / J
         dt_of[e] = 2.0 / sqrt(omega2) if det > 0.0 and omega2 > 0.0 else 0.0
 

@@ -175,7 +175,7 @@ class HighestFrequency(FrequencyState):
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
 
         springs: between nodes; inertia: of scaled elements; both are in the bound too. masses: of the nodes (n,) kg and their inverses,
-        0 of held nodes, in place of the target's.
+        0 of fixed nodes, in place of the target's.
         """
         mesh, inertia = t.mesh, inertia or ElementInertia()
         mass, inverse = masses or (t.mass, t.inv_mass)

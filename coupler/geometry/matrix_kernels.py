@@ -1,10 +1,13 @@
 """3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
 
+from math import acos, cos, pi, sqrt
+
 from ..compiling import njit
 from ..core.arrays import Floats, Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic what changes the last bits alone, and does not hide a NaN
 ZERO = (0.0,) * 9
+LARGEST, SMALLEST = 0.0, 2.0 * pi / 3.0  # rad: which root of the characteristic equation, see `eigenvalue`
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
@@ -88,3 +91,16 @@ def polar(F: Matrix) -> Matrix:
 def applied(a: Matrix, x: float, y: float, z: float) -> Vector:
     """Product of a 3x3 matrix and a vector."""
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@njit(cache=True, nogil=True, inline="always")
+def eigenvalue(a: float, b: float, c: float, d: float, e: float, f: float, which: float) -> float:
+    """The eigenvalue LARGEST or SMALLEST of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""
+    mean = (a + b + c) / 3.0
+    off = f * f + e * e + d * d
+    spread = sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)
+    if spread <= 1e-14 * abs(mean):
+        return mean
+    a, b, c, d, e, f = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread, d / spread, e / spread, f / spread
+    half_det = 0.5 * (a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e))
+    return mean + 2.0 * spread * cos(acos(min(max(half_det, -1.0), 1.0)) / 3.0 + which)

@@ -15,6 +15,7 @@ import numpy as np
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
 from ..core.loops import ranges
+from ..geometry.matrix_kernels import SMALLEST, eigenvalue
 from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
 from .model import State
 
@@ -108,38 +109,31 @@ def warm_points(
 
 
 @njit(cache=True, nogil=True)
-def stored_energy(lo: int, hi: int, laws: Laws, volume: Floats, a: State) -> float:
-    """Energy in J that stresses hold: deviators (J V s:s / 4G) and that of the volume, the heat in it included."""
-    law = laws[0]
-    total = 0.0
-    for i in range(lo, hi):
-        s = a.stress[i]
-        mean = (s[0] + s[3] + s[5]) / 3.0
-        xx, yy, zz = s[0] - mean, s[3] - mean, s[5] - mean
-        ss = xx * xx + yy * yy + zz * zz + 2.0 * (s[1] ** 2 + s[2] ** 2 + s[4] ** 2)
-        total += volume[i] * (a.J[i] * ss / (4.0 * law.G) + a.energy[i])
-    return total
-
-
-@njit(cache=True, nogil=True)
 def add_up(
     team: Ints, laws: Laws, dt: float, volume: Floats, mass: Floats, v: Floats, f: Floats, a: State, sums: Floats
 ) -> None:
-    """Sums over points, part by part, into sums (PARTS,6): kinetic and stored energy, J, momentum, kg m/s, and the square of the
-    largest speed, m2/s2.
+    """Sums over points, part by part, into sums (PARTS,6): kinetic energy, and that which stresses store, J, momentum, kg m/s, and the
+    square of the largest speed, m2/s2.
 
+    Stored are that of deviators, J V s:s / 4G, and that of the volume, the heat in it included.
     v (n,3) m/s of n+1/2, f (n,3) N. Kinetic energy: sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work.
     """
+    law = laws[0]
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):
-        kinetic = x = y = z = fastest = 0.0
+        kinetic = stored = x = y = z = fastest = 0.0
         for i in range(lo, hi):
+            s = a.stress[i]
+            mean = (s[0] + s[3] + s[5]) / 3.0
+            xx, yy, zz = s[0] - mean, s[3] - mean, s[5] - mean
+            ss = xx * xx + yy * yy + zz * zz + 2.0 * (s[1] ** 2 + s[2] ** 2 + s[4] ** 2)
+            stored += volume[i] * (a.J[i] * ss / (4.0 * law.G) + a.energy[i])
             m, half = mass[i], 0.5 * dt / mass[i]
             v0, v1, v2 = v[i, 0], v[i, 1], v[i, 2]
             f0, f1, f2 = half * f[i, 0], half * f[i, 1], half * f[i, 2]
             square = v0 * v0 + v1 * v1 + v2 * v2
             kinetic += m * (square - (f0 * f0 + f1 * f1 + f2 * f2))
             x, y, z, fastest = x + m * v0, y + m * v1, z + m * v2, max(fastest, square)
-        sums[part, 0], sums[part, 1] = 0.5 * kinetic, stored_energy(lo, hi, laws, volume, a)
+        sums[part, 0], sums[part, 1] = 0.5 * kinetic, stored
         sums[part, 2], sums[part, 3], sums[part, 4], sums[part, 5] = x, y, z, fastest
 
 
@@ -150,16 +144,7 @@ def smallest_stretch(lo: int, hi: int, strain: Floats) -> tuple[float, int]:
     where = -1
     for i in range(lo, hi):
         xx, yy, zz = 1.0 + 2.0 * strain[i, 0], 1.0 + 2.0 * strain[i, 1], 1.0 + 2.0 * strain[i, 2]
-        xy, xz, yz = 2.0 * strain[i, 3], 2.0 * strain[i, 4], 2.0 * strain[i, 5]
-        mean = (xx + yy + zz) / 3.0
-        xx, yy, zz = xx - mean, yy - mean, zz - mean
-        spread = np.sqrt((xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
-        low = mean
-        if spread > 1e-14 and not mean - 2.0 * spread > smallest:
-            xx, yy, zz, xy, xz, yz = xx / spread, yy / spread, zz / spread, xy / spread, xz / spread, yz / spread
-            det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-            angle = np.arccos(min(max(0.5 * det, -1.0), 1.0)) / 3.0
-            low = mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0)
+        low = eigenvalue(xx, yy, zz, 2.0 * strain[i, 5], 2.0 * strain[i, 4], 2.0 * strain[i, 3], SMALLEST)
         if low < smallest:
             smallest, where = low, i
     return np.sqrt(max(smallest, 0.0)), where

@@ -304,8 +304,6 @@ def test_what_is_far_from_a_surface_is_not_looked_at_until_it_may_be_near() -> N
         before = c.gap.copy()
         forces(c, 0.0, xp - [0, 0, down + 1e-9], x + np.array([0.0, 0.0, up]))
         assert np.flatnonzero(c.gap != before).tolist() == looked
-    at = np.unique(facets)
-    assert broad.farthest(x, at, x[at] + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
 
 
 def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) -> None:
