@@ -19,7 +19,7 @@ from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
-from coupler.core.records import Rows, Shape
+from coupler.core.records import Rows, Shape, copied, put
 from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
@@ -80,6 +80,43 @@ def test_a_state_comes_back_exactly(tmp_path: Path) -> None:
     assert replace(back, part=None, parts=[], ids=None) == replace(state, part=None, parts=[], ids=None)
     with pytest.raises(TypeError, match="cannot store"):
         checkpoint.write(tmp_path, replace(state, said={"a": object()}), {})
+
+
+@dataclass(eq=False)
+class Sum:
+    work: float = 0.0
+    steps: int = 0
+
+
+@dataclass(eq=False)
+class Moving:
+    x: Annotated[np.ndarray, Rows(3)]
+    total: Sum
+    time: float = 0.0
+
+
+class Mover(Moving):
+    """Its attributes are the fields of its record; `mass` is no part of the state."""
+
+    def __init__(self) -> None:
+        super().__init__(np.zeros((4, 3)), Sum())
+        self.mass = np.ones(4)
+
+
+def test_what_derives_from_a_record_keeps_its_fields(tmp_path: Path) -> None:
+    """A further number is one line in the record. Arrays and parts stay where they are: kernels and others refer to them."""
+    one, other = Mover(), Mover()
+    one.x[:], one.time, one.total.work, one.total.steps = np.arange(12).reshape(4, 3), 3.0, 0.5, 7
+    back = checkpoint.read(checkpoint.write(tmp_path, copied(one), {}), Moving)
+    assert type(back) is Moving
+    x, total = other.x, other.total
+    put(back, other)
+    assert other.x is x
+    assert other.total is total
+    np.testing.assert_array_equal(x, one.x)
+    assert (other.time, total.work, total.steps) == (3.0, 0.5, 7)
+    with pytest.raises(CheckpointError, match=r"x has the shape \(5, 3\), needed \(4, 3\)"):
+        put(replace(back, x=np.zeros((5, 3))), other)
 
 
 WRONG = {
