@@ -28,7 +28,7 @@ from .mesh import TetMesh, cells_of, inverted
 from .model import Active, Elements, Metals, Nodes
 from .stability import FrequencyState, HighestFrequency, Springs
 from .state import Balance, EdgeState, ElementState, NodeState
-from .window import LAYER, Edge, layer, outside
+from .window import UNDISTURBED, Edge, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
@@ -165,7 +165,7 @@ class Target(TargetState):
 
     def set_window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
         """Compute nothing farther than `radius` m from the point of impact (`fe.window`). origin (3,) m: that point, for an edge that
-        is elastic, at rest where it is or at rest (k,3) m; None: the edge is fixed, and waves are damped before it.
+        is elastic, at rest where it is or at rest (k,3) m; None: the edge is fixed.
 
         What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
         elements are within.
@@ -175,27 +175,23 @@ class Target(TargetState):
         if m == len(self.mesh.conn):
             return m
         beyond = outside(self.mesh, m, n)
-        if origin is None:
-            nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
-            damping = (rate * self.mass[nodes])[:, None, None] * np.eye(3)
-        else:
+        if origin is not None:
             among = np.setdiff1d(beyond, np.union1d(self.fixed, self.spring_nodes))
             self.edge = Edge(self, m, among, origin, rest)
-            beyond, nodes, damping = np.setdiff1d(beyond, self.edge.nodes), self.edge.nodes, self.edge.damping
+            beyond, matrix = np.setdiff1d(beyond, self.edge.nodes), np.zeros((len(self.mass), 3, 3))
+            matrix[self.dashpot_nodes] = self.dashpot
+            matrix[self.edge.nodes] += self.edge.damping
+            self.dashpot_nodes = np.union1d(self.dashpot_nodes, self.edge.nodes)
+            self.dashpot, self.drag = matrix[self.dashpot_nodes], np.zeros((len(self.dashpot_nodes), 3))
         self.fixed = np.union1d(self.fixed, beyond)
         self.inv_mass[self.fixed] = 0.0
-        matrix = np.zeros((len(self.mass), 3, 3))
-        matrix[self.dashpot_nodes] = self.dashpot
-        matrix[nodes] += damping
-        self.dashpot_nodes = np.union1d(self.dashpot_nodes, nodes)
-        self.dashpot, self.drag = matrix[self.dashpot_nodes], np.zeros((len(self.dashpot_nodes), 3))
         self.deactivate_beyond(self.reach)
         return m
 
     @property
     def undisturbed(self) -> float:
         """Distance from the point of impact (m) up to which no window affects the target."""
-        return (1.0 - (0.5 * LAYER if self.edge is not None else LAYER)) * self.horizon
+        return UNDISTURBED * self.horizon
 
     def _active_counts(self, reach: float) -> tuple[int, int]:
         """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""

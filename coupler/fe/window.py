@@ -1,8 +1,7 @@
 """A window on the target: what lies beyond a radius round the impact is not computed.
 
 The forces of its resting elements are in equilibrium and have to be added up only once. In an impact the nodes on the window's edge
-have springs and dashpots, which replace the elements beyond it (`Edge`). In a relaxation they are fixed, and before them a layer
-takes velocity away, with a rate that grows with the square of the depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
+have springs and dashpots, which replace the elements beyond it (`Edge`). In a relaxation they are fixed.
 """
 
 import numpy as np
@@ -14,8 +13,7 @@ from .mesh import FiniteElements, TetMesh
 from .state import EdgeState
 
 NORMAL = 2.0  # stiffness of the edge along the radius, over G / R
-LAYER = 0.2  # of the radius
-ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: a dashpot of rho c to long waves
+UNDISTURBED = 0.9  # of the radius: up to there the edge does not affect the target
 
 
 def outside(mesh: TetMesh, elements: int, nodes: int) -> np.ndarray:
@@ -23,14 +21,6 @@ def outside(mesh: TetMesh, elements: int, nodes: int) -> np.ndarray:
     ones: the edge of the window."""
     others = np.unique(mesh.conn[elements:])
     return others[others < nodes]
-
-
-def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the first `nodes` nodes lie in the layer before the radius (m), and the rate (1/s) at which each loses its velocity."""
-    thickness = LAYER * radius
-    depth = (mesh.reach_node[:nodes] - (radius - thickness)) / thickness
-    inside = np.flatnonzero(depth > 0.0)
-    return inside, ABSORBED * wave_speed / thickness * np.minimum(depth[inside], 1.0) ** 2
 
 
 class Edge(EdgeState):

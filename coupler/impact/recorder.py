@@ -29,7 +29,7 @@ VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as Pa
 class Recorded:
     """Times of the next outputs and observations of an impact so far. next_row, next_output: times in s; greatest: measures at the
     greatest deformation, None before it; over_rim: the particle has reached beyond the substrate's edge and below its surface;
-    in_layer: it has touched the layer where the window of the target damps velocities; met (k,): heights, m, of the surface that it
+    at_rim: it has touched the rim of the target's window; met (k,): heights, m, of the surface that it
     meets, at its nodes, before the impact; touched_at: height of the particle's centre, m, when it last touched anything, or
     before it has."""
 
@@ -38,7 +38,7 @@ class Recorded:
     greatest: dict[str, float] | None = None
     extremes: Extremes = field(default_factory=Extremes)
     over_rim: bool = False
-    in_layer: bool = False
+    at_rim: bool = False
     met: Annotated[np.ndarray, Shape(-1)] = field(default_factory=lambda: np.zeros(0))
     touched_at: float = 0.0
 
@@ -134,7 +134,7 @@ class Recorder:
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
         self.seen.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         facets = impact.contact.touching(len(skin))[1]
-        self.seen.in_layer |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
+        self.seen.at_rim |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
 
     def write_fields(self, impact: Impact) -> None:
         """One time step of particle.vtkhdf, surface.vtkhdf and target.vtkhdf."""

@@ -137,7 +137,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
             " but a real substrate is wider: increase substrate.diameter"
         )
-    if recorder.seen.in_layer:
+    if recorder.seen.at_rim:
         beyond.append(
             f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, beyond which"
             " the target does not deform: increase substrate.window"
