@@ -66,6 +66,7 @@ class VtkHdfWriter:
         self._root.attrs.create("Type", kind, dtype=h5py.string_dtype("ascii", len(kind)))
         steps = self._root.create_group("Steps")
         steps.attrs["NSteps"] = np.int64(0)
+        self._count = h5py.h5a.open(steps.id, b"NSteps")
         for name in ("PointData", "CellData"):
             self._root.create_group(name)
             steps.create_group(f"{name}Offsets")
@@ -147,12 +148,15 @@ class VtkHdfWriter:
         put("CellOffsets", state.cell_offset)
         put("ConnectivityIdOffsets", state.connectivity_offset)
         for group, data in fields.items():
-            for name, values in data.items():
-                where = f"{group}/{name}"
-                put(f"{group}Offsets/{name}", self._append(state, where, values, packed[where]))
+            for i, name in enumerate(sorted(data)):
+                start = self._append(state, f"{group}/{name}", data[name], packed[f"{group}/{name}"])
+                if i == 0:
+                    put(f"{group}Offsets/{name}", start)
+        if state.steps == 1:
+            self._name_offsets(names)
         self._file.flush()
         # VTK overruns its memory if there are more times than steps, so the times wait for the count.
-        self._root["Steps"].attrs["NSteps"] = np.int64(state.steps)
+        self._count.write(np.array(state.steps))
         put("Values", time)
         self._file.flush()
         self._state = state
@@ -168,21 +172,30 @@ class VtkHdfWriter:
                 )  # fmt: skip
                 self._data[name].attrs.update(like.attrs)
             self._data[name].id.write_direct_chunk((first,) + (0,) * (like.ndim - 1), chunk, skipped)
+        self._name_offsets(state.names or ([], []))
         self._file.flush()
-        self._root["Steps"].attrs["NSteps"] = np.int64(state.steps)
+        self._count.write(np.array(state.steps))
         self._file.flush()
         self._state = state
+
+    def _name_offsets(self, names: tuple[list[str], list[str]]) -> None:
+        """Give the offsets of the first field at points, and of the first in cells, the names of the others too: all fields begin at
+        the same rows, because their chunks have the same length."""
+        for group, fields in zip(("PointData", "CellData"), names, strict=True):
+            offsets = self._root[f"Steps/{group}Offsets"]
+            for name in fields[1:]:
+                offsets[name] = offsets[fields[0]]
 
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> dict[str, NDArray]:
         """Begin a new part with the cells, unless they and the number of points are those of the last step; returns the connectivity
         that is to be stored, by name."""
+        if points == state.points and state.cells is not None and np.array_equal(cells, state.cells):
+            return {}
         table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
         if table.ndim != 2 or table.shape[1] not in CELL_TYPES:
             raise ValueError(f"cells must be (m, 1), (m, 3) or (m, 4), got {table.shape}")
         if table.size and (table.min() < 0 or table.max() >= points):
             raise ValueError(f"cells refer to points outside 0..{points - 1}")
-        if points == state.points and state.cells is not None and np.array_equal(table, state.cells):
-            return {}
         state.cells, state.points = table, points
         count, columns = table.shape
         state.cell_offset = self._append(state, "Types", np.full(count, CELL_TYPES[columns], dtype=np.uint8))
@@ -284,8 +297,8 @@ def _state_at(old: Root, steps: int) -> _State:
     names = sorted(old.names("PointData")), sorted(old.names("CellData"))
     for group, count, fields in (("PointData", points, names[0]), ("CellData", cells, names[1])):
         for name in fields:
-            offsets = f"{group}Offsets/{name}"
-            rows |= {f"Steps/{offsets}": steps, f"{group}/{name}": old.number(f"Steps/{offsets}", n) + count}
+            rows |= {f"{group}/{name}": old.number(f"Steps/{group}Offsets/{name}", n) + count}
+        rows |= {f"Steps/{group}Offsets/{name}": steps for name in fields[:1]}
     return _State(steps, rows, last.cells, points, part, old.number("Steps/CellOffsets", n), connectivity, names)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.records import Shape
+from ..core.threads import share
 from ..errors import SolverError
 from ..files.store import Store
 from ..geometry.extent import UP, extent
@@ -22,6 +23,7 @@ from .validity import Extremes
 
 FITTED = 16  # nodes that `crater_depth` fits
 ROWS = 50  # rows of the history in D / v, at least one in two chunks of steps
+LEAST_VERTICES = 500  # in a range of a shared loop
 VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
 
 
@@ -149,7 +151,13 @@ class Recorder:
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         vertices = s.positions(p.x)
-        skin["from_points"] = cKDTree(p.x, balanced_tree=False, compact_nodes=False).query(vertices)[0]  # built sooner
+        tree = cKDTree(p.x, balanced_tree=False, compact_nodes=False)  # built sooner
+        skin["from_points"] = away = np.empty(len(vertices))
+
+        def measure_distance(lo: int, hi: int) -> None:
+            away[lo:hi] = tree.query(vertices[lo:hi])[0]
+
+        share(measure_distance, len(vertices), LEAST_VERTICES)
         self.store.write("surface", time, vertices, s.triangles, skin)
         self.store.write("target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
         self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
