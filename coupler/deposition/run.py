@@ -72,7 +72,7 @@ def run(
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", None), scene.resolution.error if error is None else error)
     asked = {"numerics": knobs, "probe": probe, "checkpoint_every": checkpoint_every, "skip_failed": skip_failed}
-    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=max(jobs, 1))
+    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=jobs)
     companions = Companions(decided, folder, knobs, _alone)
 
     def create() -> Store:
@@ -121,7 +121,7 @@ def resume(
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     decided = read_plan(folder)
     asked = {"numerics": knobs, "probe": probe, "checkpoint_every": checkpoint_every, "skip_failed": skip_failed}
-    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=max(jobs, 1), until=until)
+    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=jobs, until=until)
     if result.finished and not result.undecided and (until is None or result.has_verdict):
         measured = not error or "error" in result.summary["run"] or not result.plan.get("companions")
         return _complete(result, None if measured else Companions(decided, folder, knobs, _alone), options)
@@ -188,7 +188,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
 
 
 def _options(
-    plan: Plan, folder: Path, progress: Progress | None, quiet: bool, threads: int | None, **asked: Any
+    plan: Plan, folder: Path, progress: Progress | None, quiet: bool, threads: int | None, jobs: int, **asked: Any
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world())
@@ -198,4 +198,5 @@ def _options(
         if plan.companions and (points <= FEW_POINTS or free > 2):
             free -= 1  # for the coarser runs
         threads = max(min(free, points // POINTS_OF_THREAD), 1)
+    asked["jobs"] = max(min(jobs, len(plan.impacts)), 1)
     return RunOptions(progress or Progress(quiet), folder / "log.lammps", ranks, threads, **asked)

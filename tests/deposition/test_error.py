@@ -202,3 +202,18 @@ def test_a_script_without_a_main_guard_measures_its_error_beside_it(tmp_path: Pa
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.count("flattening_ratio") > 0
     assert done.stderr == ""
+
+
+def test_coarser_runs_go_beside_a_single_impact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command asks for as many impacts at a time as there are cores: one impact leaves the others to the coarser runs."""
+    beside = []
+
+    def begin(_: companions.Companions, on_another_core: bool) -> None:
+        beside.append(on_another_core)
+        raise SolverError("enough")
+
+    monkeypatch.setattr(deposition, "cores", lambda: 4)
+    monkeypatch.setattr(companions.Companions, "begin", begin)
+    with pytest.raises(SolverError, match="enough"):
+        run(Scene.from_text(SMALL, "small"), tmp_path, quiet=True, error=True, jobs=4)
+    assert beside == [True]
