@@ -164,7 +164,7 @@ class Contact(ContactState):
         share = speed / fastest if fastest > 0.0 else np.full(len(x), 0.5)
         due = [body for body in range(len(self.spacing)) if not self._is_valid(body, x, travel, share, active)]
         if due:
-            self._find(np.isin(self.points.owner, due), self._start(due, x, travel, share), always, active, x)
+            self._find(due, self._start(due, x, travel, share), always, active, x)
             owner, bodies = self.points.owner, len(self.spacing)
             nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
             self._motion = motion(*nodes, x)
@@ -209,12 +209,15 @@ class Contact(ContactState):
             s.point_x, s.node_x = self.points.x[own].copy(), x[s.nodes]
         return far
 
-    def _find(self, due: np.ndarray, travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats) -> None:
-        """Candidates of the points of a mask (n,), valid until they and faces have moved travel (n,) m against each other."""
+    def _find(
+        self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
+    ) -> None:
+        """Candidates of the points of bodies, valid until they and faces have moved travel (n,) m against each other."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
-        q: Ints = np.flatnonzero(due)
+        due = np.isin(p.owner, bodies)
+        q: Ints | slice = slice(None) if due.all() else np.flatnonzero(due)
         p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # half a spacing deep is as deep as a point may be lost
-        start, face = self._pairs(q)
+        start, face = self._pairs(q, bodies)
         # points with a friction spring are projected too, so that its energy is accounted for
         sheared = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
         sheared[np.asarray(always, np.int64)] = True
@@ -244,20 +247,22 @@ class Contact(ContactState):
         history["ignored"][away], history["body"][away] = 0.0, ANY
         self.rows = np.union1d(self.rows[~due[self.rows]], kept)
 
-    def _pairs(self, q: Ints) -> tuple[Ints, Ints]:
-        """Candidates (start, face) of the points q: faces whose boxes come within their margins."""
-        p, faces, bodies = self.points, self.faces, np.unique(self.points.owner[q])
+    def _pairs(self, q: Ints | slice, bodies: Sequence[int]) -> tuple[Ints, Ints]:
+        """Candidates (start, face) of the points q of bodies: faces whose boxes come within their margins."""
+        p, faces = self.points, self.faces
         ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
         few, boxes = broad.pairs_within(
             p.x[q], p.margin[q], p.owner[q], faces["low"][ids], faces["high"][ids], faces["body"][ids], float(p.spacing[q].min())
         )  # fmt: skip
         start = np.zeros(len(p.owner) + 1, np.int64)
-        start[q + 1] = np.diff(few)
+        start[1:][q] = np.diff(few)
         return np.cumsum(start), ids[boxes]
 
     def _set_candidates(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
         """Replace the candidates of the points of a mask (n,)."""
-        self._candidates = Candidates(*closest.merged(fresh, *self._candidates, start, face))
+        if not fresh.all():
+            start, face = closest.merged(fresh, *self._candidates, start, face)
+        self._candidates = Candidates(start, face)
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
         """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search is valid until more

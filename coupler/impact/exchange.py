@@ -162,7 +162,7 @@ class Impact(Course):
         with growing(self.target):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
-        self.force = self.contact.points.f.sum(axis=0)
+        self.force = self.contact.points.f[self.contact.rows].sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:

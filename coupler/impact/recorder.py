@@ -126,7 +126,7 @@ class Recorder:
 
     def is_above(self, impact: Impact) -> bool:
         """Whether the particle's centre is above the target, not beyond its rim."""
-        away = impact.particle.x[:, :2].mean(axis=0) - self.plan.target.centre
+        away = np.subtract([along.mean() for along in impact.particle.x[:, :2].T], self.plan.target.centre)
         return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:

@@ -96,7 +96,9 @@ class CarriedSurface:
 
     def values(self, field: np.ndarray) -> np.ndarray:
         """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
-        return times(self.average, field) if field.ndim == 1 else self.average @ field
+        if field.ndim == 1:
+            return times(self.average, field)
+        return times_rows(self.average, field) if field.shape[1] == 3 else self.average @ field
 
 
 def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:

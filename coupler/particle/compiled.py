@@ -232,7 +232,12 @@ class CompiledParticle(Particle):
     def stress(self) -> np.ndarray:
         s = self.points.smd_stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         R = self.points.R.reshape(-1, 3, 3)
-        T = (R @ s @ R.transpose(0, 2, 1)).reshape(-1, 9)
+        T = np.empty((self.n, 9))
+
+        def turn(lo: int, hi: int) -> None:
+            np.matmul(R[lo:hi] @ s[lo:hi], R[lo:hi].transpose(0, 2, 1), out=T[lo:hi].reshape(-1, 3, 3))
+
+        share(turn, self.n, LEAST_POINTS)
         return T[:, [0, 4, 8, 5, 2, 1]]
 
 
