@@ -12,7 +12,7 @@ EVERYWHERE = {"errors", "units", "progress", "measures", "caches", "compiling", 
 # package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
 ALLOWED: dict[str, set[str]] = {
     "commands": {"studies", "report", "deposition", "splat", "files", "plan", "scene", "spray", "physics", "geometry"},
-    "studies": {"deposition", "report", "files", "plan", "scene", "physics", "geometry"},
+    "studies": {"deposition", "report", "files", "plan", "scene", "spray", "physics", "geometry"},
     "deposition": {"report", "impact", "target", "splat", "fe", "contact", "files", "ranks", "plan", "particle", "physics", "geometry"},
     "report": {"files", "geometry"},
     "impact": {"target", "particle", "fe", "contact", "ranks", "files", "plan", "physics", "geometry"},

@@ -19,6 +19,7 @@ from coupler.physics.materials import material
 from coupler.spray.flight import fly_together
 from coupler.spray.gas import GASES, Flow
 from coupler.spray.nozzles import Nozzle, from_tables
+from coupler.spray.sizes import Sizes
 from coupler.spray.window import Spray, spray
 
 HERE = Path(__file__).parent
@@ -39,8 +40,8 @@ def arrived(run: Mapping[str, Any], row: Sequence[Any], nozzle: Nozzle) -> Spray
     gas, bar, T_gas, T_powder = row[:4]
     flow = Flow(GASES[gas], nozzle, bar * 1e5, T_gas + ZERO, run["standoff_mm"] * 1e-3, ATMOSPHERE)
     metal = material(run["metal"])
-    low, middle, high = (size * 1e-6 for size in run["sizes_um"])
-    return spray(metal, None, (low, middle, high), lambda D: fly_together(flow, metal, D, T_powder + ZERO))
+    sizes = Sizes.of_quantiles(*(size * 1e-6 for size in run["sizes_um"]))
+    return spray(metal, None, sizes, lambda D: fly_together(flow, metal, D, T_powder + ZERO))
 
 
 def efficiency(powder: Spray) -> str:

@@ -17,7 +17,7 @@ from .. import __version__
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
-from . import accuracy, coating, critical, gas, materials, mesh, new, sweep, watch, window
+from . import accuracy, coating, critical, gas, job, materials, mesh, new, sweep, watch, window
 from . import arguments as options
 from . import map as maps
 from .arguments import Option
@@ -179,7 +179,7 @@ def _parser() -> argparse.ArgumentParser:
            help='time to which its last impact goes on, such as "300 ns" (default: as long again as it has had, where that was its'
            " time limit; a run that is at its own end, and undecided, goes on with --until only)")  # fmt: skip
     _add_running(option)
-    for command in (new, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
+    for command in (new, job, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
     option = options.add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')

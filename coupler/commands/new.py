@@ -16,6 +16,7 @@ KINDS = {
     "single": "one particle on a flat target",
     "pair": "two particles, one onto the other",
     "coating": "particles drawn from a seed, with a gas and a nozzle",
+    "job": "a question on one page: does it stick, how much of it, what coating?",
     "map": "a sweep over velocity and temperature",
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
@@ -32,6 +33,7 @@ def add(commands: Commands) -> None:
     option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
     add_library(option)
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
+    option("--of", choices=("scene", "job"), default="scene", help="whose: of scenes (default), or of jobs")
     option("--out", type=path, metavar="FILE", help="write it there, as .json")
     add_force(option)
 
@@ -82,19 +84,21 @@ def schema(arguments: argparse.Namespace) -> int:
     """Print the schema, or write it. Returns the exit code."""
     from ..files.outputs import claim_file, write_text
 
+    text = _schema(arguments.of)
     if arguments.out is None:
-        print(_schema(), end="")
+        print(text, end="")
     else:
-        write_text(claim_file(arguments.out, (".json",), force=arguments.force), _schema())
+        write_text(claim_file(arguments.out, (".json",), force=arguments.force), text)
         print(f'schema in {arguments.out}; a scene names it in its first line: "#:schema {arguments.out}"')
     return 0
 
 
-def _schema() -> str:
+def _schema(of: str = "scene") -> str:
     from ..files.outputs import MARK
-    from ..scene.json_schema import scene_schema
+    from ..scene import json_schema
 
-    return json.dumps(scene_schema() | {"description": MARK}, indent=1, ensure_ascii=False) + "\n"
+    schema = json_schema.job_schema() if of == "job" else json_schema.scene_schema()
+    return json.dumps(schema | {"description": MARK}, indent=1, ensure_ascii=False) + "\n"
 
 
 def _points(name: str) -> str:

@@ -34,6 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import SceneError
     from ..spray import window
+    from ..spray.sizes import Sizes
 
     within, known = share(arguments.within, "--within"), gas.setup(arguments, "window", "--powder")
     small, median, large = known.diameters
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: {order}"], "window")
     metal = known.metals[arguments.material]
     base = known.metals[arguments.substrate] if arguments.substrate is not None else None
-    spray = window.spray(metal, base, (small, median, large), lambda D: known.fly(metal, D))
+    spray = window.spray(metal, base, Sizes.of_quantiles(small, median, large), lambda D: known.fly(metal, D))
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:
         _write_csv(arguments, spray)

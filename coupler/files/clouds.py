@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import ColdsprayError
 from .inputs import InputError, check_regular, open_input, require_memory
 from .surfaces import SURFACES, read_surface
-from .tables import read_table
+from .tables import read_any_text, read_table
 
 LARGEST_FILE = 2 * 1024**3  # bytes
 TEXT = (".csv", ".tsv", ".xyz", ".txt", ".dat")
@@ -87,12 +87,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
 
 def _table(path: Path, columns: list[str] | None) -> Points:
     """Columns x, y, z and others of a text. An .xyz begins with the number of its points and a line of remarks."""
-    with open_input(path, LARGEST_FILE) as stream:
-        raw = stream.read()
-    try:
-        text = raw.decode("utf-16" if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
-    except UnicodeDecodeError:  # names of columns as spreadsheets of Western countries write them; numbers are the same
-        text = raw.decode("latin-1")
+    text = read_any_text(path, LARGEST_FILE)
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
         if count > len(lines):

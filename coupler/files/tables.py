@@ -3,9 +3,12 @@
 import csv
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .inputs import open_input
 
 # none of these patterns takes more than linear time in a line of any length
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -25,14 +28,25 @@ class Table:
     notes: list[str]
 
 
-def read_table(text: str, names: list[str] | None = None) -> Table:
+def read_any_text(path: Path, limit: int) -> str:
+    """The text of a file, in UTF-8, UTF-16 or Latin-1. limit: bytes at most. Raises InputError."""
+    with open_input(path, limit) as stream:
+        raw = stream.read()
+    try:
+        return raw.decode("utf-16" if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
+    except UnicodeDecodeError:  # names of columns as spreadsheets of Western countries write them; numbers are the same
+        return raw.decode("latin-1")
+
+
+def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
     """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default the names above the numbers.
-    Raises ValueError with what is wrong, and where."""
+    axes: a letter for each column that it needs at least, their names where it has none. Raises ValueError with what is wrong, and
+    where."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
-    first = next((k for k, count in enumerate(numbers) if count >= 3), None)
+    first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
     if first is None:
-        raise ValueError("none of its lines has three numbers, x, y and z" if text.strip() else "it is empty")
+        raise ValueError(f"none of its lines has {_listed(axes, 'numbers')}" if text.strip() else "it is empty")
     separator = _separator(lines[first])
     kept = [k for k in range(first, len(lines)) if lines[k] and not lines[k].startswith(_COMMENT)]
     rows = [_fields(lines[k], separator) for k in kept]
@@ -46,7 +60,7 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
         notes += [f"a line above the numbers is left out: {line[:60]!r}" for line in left_out]
         names = next((titles for titles in reversed(above.values()) if titles is not None), None)
         if names is None:
-            x, told = _unnamed(columns)
+            x, told = _unnamed(columns, axes)
             return Table(x, {}, [*notes, *told])
     if len(names) > len(rows[0]):
         raise ValueError(f"it has {len(rows[0])} columns, {len(names)} names are given")
@@ -125,13 +139,19 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
     return None
 
 
-def _unnamed(columns: dict[int, NDArray[np.float64]]) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """x, y and z of columns without names, and which are used where there are more than three."""
+def _unnamed(columns: dict[int, NDArray[np.float64]], axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """The axes of columns without names, and which are used where there are more."""
     places = list(columns)
     values = columns[places[0]]
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
         places = places[1:]
-    if len(places) < 3:
-        raise ValueError("beside a column that counts the lines, it needs three columns, x, y and z")
-    told = f"columns {', '.join(str(k + 1) for k in places[:3])} are used as x, y, z, the others left out: name them with --columns"
-    return dict(zip("xyz", (columns[k] for k in places[:3]), strict=True)), [told] if len(columns) > 3 else []
+    count = len(axes)
+    if len(places) < count:
+        raise ValueError(f"beside a column that counts the lines, it needs {_listed(axes, 'columns')}")
+    used = ", ".join(str(k + 1) for k in places[:count])
+    told = f"columns {used} are used as {', '.join(axes)}, the others left out: name them with --columns"
+    return dict(zip(axes, (columns[k] for k in places[:count]), strict=True)), [told] if len(columns) > count else []
+
+
+def _listed(axes: str, what: str) -> str:
+    return f"{ {2: 'two', 3: 'three'}[len(axes)] } {what}, {', '.join(axes[:-1])} and {axes[-1]}"

@@ -63,7 +63,7 @@ class Page:
         each = (f'<section id="{name}"><h2>{escape(word)}</h2>\n{body}</section>' for name, word, body in self.sections)
         return Template(text["html"]).substitute(
             title=escape(heading), under=under, top=top, css=text["css"], nav=nav, sections="\n".join(each), footer=footer,
-            data=data.replace("<", "\\u003c"), plotly=get_plotlyjs(), js=text["js"],
+            data=data.replace("<", "\\u003c"), plotly=get_plotlyjs() if self.charts or self.solid else "", js=text["js"],
         )  # fmt: skip
 
 

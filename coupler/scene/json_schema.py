@@ -8,6 +8,7 @@ from typing import Any
 
 from .. import units
 from .effects import NAMES, WHOLE
+from .job import FORMS, JobData
 from .model import SceneData
 
 DRAFT = "http://json-schema.org/draft-04/schema#"
@@ -39,6 +40,19 @@ def scene_schema() -> dict[str, Any]:
     properties["particle"] |= {key: table[key] for key in ("properties", "required", "additionalProperties")} | {
         "type": ["object", "array"], "minItems": 1, "items": {"$ref": "#/definitions/Particle"},
     }  # fmt: skip
+    return schema
+
+
+def job_schema() -> dict[str, Any]:
+    """The schema of the file of a job, as nested dicts; the tables that a scene has too are described as there."""
+    whole = JobData.model_json_schema(ref_template="#/definitions/{model}")
+    schema: dict[str, Any] = {"$schema": DRAFT, "title": "a job of coldspray", "description": ""} | _draft_4(whole)
+    tables = schema["definitions"]
+    texts = {"type": "array", "items": {"type": "string"}, "minItems": 3, "maxItems": 3}
+    tables["Powder"]["properties"]["sizes"] = {"anyOf": [{"type": "string"}, texts], "description": FORMS}
+    for name, table in {"gas": "GasConditions", "spray": "Track", "substrate": "Base"}.items():
+        for key, entry in tables[table]["properties"].items():
+            _described(f"{name}.{key}", entry)
     return schema
 
 

@@ -20,6 +20,7 @@ _EXAMPLES = {  # what a required field looks like; stands in for a faulty one wh
 _COATING_EXAMPLE = {
     "coating": {"material": "Ni", "number": 40, "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
 }
+_JOB_EXAMPLE = {"powder": {"material": "Cu", "sizes": "15-45 um"}}
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 
 
@@ -67,11 +68,11 @@ def dotted(loc: tuple[int | str, ...], several: bool) -> str:
     return text.removeprefix(".")
 
 
-def in_words(entry: ErrorDetails, several: bool) -> str:
-    """One of pydantic's errors as a line a process engineer understands."""
+def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneData) -> str:
+    """One of pydantic's errors as a line a process engineer understands. whole: the model of the file."""
     kind, loc = entry["type"], entry["loc"]
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
-    model = _model_at(loc[:-1])
+    model = _model_at(loc[:-1], whole)
     if kind == "extra_forbidden":
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{field}: unknown key{units.nearest(str(loc[-1]), known)}; known: {', '.join(known)}"
@@ -81,7 +82,8 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
     if kind == "missing":
         if field in _EXAMPLES:
             return f"{field}: missing; add a table [{field}]"
-        example = (_EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
+        examples = _EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE | _JOB_EXAMPLE
+        example = examples.get(str(loc[0]), {}).get(str(loc[-1]), "...")
         return f"{field}: missing; add for example {loc[-1]} = {json.dumps(example)}"
     start = f"{field} = {shown(entry['input'])}"
     if kind == "literal_error":
@@ -104,12 +106,12 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
     return f"{start}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
-def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
-    if not loc or loc[0] not in (names := {info.alias or n: n for n, info in SceneData.model_fields.items()}):
-        return SceneData
-    annotation = SceneData.model_fields[names[str(loc[0])]].annotation
+def _model_at(loc: tuple[int | str, ...], whole: type[BaseModel]) -> type[BaseModel]:
+    if not loc or loc[0] not in (names := {info.alias or n: n for n, info in whole.model_fields.items()}):
+        return whole
+    annotation = whole.model_fields[names[str(loc[0])]].annotation
     inner = (get_args(annotation) or (annotation,))[0]
-    return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else SceneData
+    return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else whole
 
 
 def shown(value: object) -> str:

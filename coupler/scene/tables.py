@@ -266,17 +266,23 @@ class GasConditions(Section):
         return _GASES.get(value.lower(), value) if isinstance(value, str) else value
 
 
-class Spray(Section):
-    """The stream of powder, which sets the time between impacts. SI units; the defaults are usual conditions.
+class Track(Section):
+    """The stream of powder over the target. SI units; the defaults are usual conditions.
 
-    feed_rate: kg/s of powder; spot: diameter (m) of the place that it covers, evenly; traverse_speed: of the gun, m/s; efficiency:
-    share of the powder that the scene's particles stand for. heat_transfer (W/(m2 K)): of the jet on the surface between impacts, none
-    by default; gas_temperature (K): of the jet there, the total one of [gas] by default.
-    """
+    feed_rate: kg/s of powder; spot: diameter (m) of the place that it covers, evenly; traverse_speed: of the gun, m/s."""
 
     feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
     spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
     traverse_speed: Annotated[float, Quantity("mm/s", "0.1 mm/s", "10 m/s")] = 0.3
+
+
+class Spray(Track):
+    """The stream of powder, which sets the time between impacts. SI units.
+
+    efficiency: share of the powder that the scene's particles stand for. heat_transfer (W/(m2 K)): of the jet on the surface between
+    impacts, none by default; gas_temperature (K): of the jet there, the total one of [gas] by default.
+    """
+
     efficiency: StrictFloat = Field(default=1.0, gt=0.0, le=1.0)
     heat_transfer: Annotated[float | None, Quantity("W/(m2 K)", "0 W/(m2 K)", "1000000 W/(m2 K)")] = None
     gas_temperature: Annotated[float | None, Quantity("K", "100 K", "2000 K")] = None

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import PairFormula, critical_velocity, pair_formula
 from ..physics.materials import Material
 from .flight import Flight
+from .sizes import Sizes
 
 ERODES = "erodes"  # beside the verdicts
 OPTIMAL, EROSION = 1.5, 2.0  # velocities over the critical one: of good coatings, and from which particles erode
@@ -18,12 +18,6 @@ FASTEST = 10.0  # velocity over the critical one, beyond which it makes no diffe
 CLASSES = 25  # of equal mass
 _IN_BAND = 10  # steps from the critical velocity to either end of its band
 _FINE = 2000  # shares between which velocities are interpolated
-
-
-def quantile(d10: float, d50: float, d90: float, share: float) -> float:
-    """Diameter, m, below which `share` of the mass is: log-normal on each side of the median, through the three given ones."""
-    step = NormalDist().inv_cdf(share) / NormalDist().inv_cdf(0.9)
-    return d50 * (d90 / d50 if step > 0.0 else d50 / d10) ** step
 
 
 @dataclass(frozen=True)
@@ -77,17 +71,17 @@ class Spray:
 def spray(
     material: Material,
     base: Material | None,
-    sizes: tuple[float, float, float],
+    sizes: Sizes,
     fly: Callable[[Sequence[float]], list[Flight]],
 ) -> Spray:
-    """A powder at impact. base: of the substrate, None where it is not considered; sizes: diameters (m) below which 10, 50 and 90 % of
-    its mass are; fly: the flights of diameters (m).
+    """A powder at impact. base: of the substrate, None where it is not considered; sizes: of the powder; fly: the flights of
+    diameters (m).
 
     Raises ColdsprayError where a particle cannot be followed or the material has no sigma_TS.
     """
     critical_velocity(material, 300.0)  # whether it has one
     share = (np.arange(CLASSES) + 0.5) / CLASSES
-    diameter = np.array([quantile(*sizes, u) for u in share])
+    diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())
     velocity, temperature = (np.array([f.velocity for f in flights]), np.array([f.temperature for f in flights]))
     formula = tuple(pair_formula(material, base, T, D) for T, D in zip(temperature, diameter, strict=True))

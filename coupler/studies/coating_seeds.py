@@ -41,12 +41,14 @@ def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
     """The error of each of MEASURES from coatings of several seeds; none of one coating."""
     if len(coatings) < 2:
         return {}
-    found = {}
-    for key in MEASURES:
-        values = np.array([getattr(each, key) for each in coatings])
-        error = float(values.std(ddof=1)) / math.sqrt(len(values))
-        found[key] = SeedError(len(values), float(values.mean()), error, float(values.min()), float(values.max()))
-    return found
+    return {key: seed_error([getattr(each, key) for each in coatings]) for key in MEASURES}
+
+
+def seed_error(each: Sequence[float]) -> SeedError:
+    """A measure of several coatings, its values SI; the error of one is infinite."""
+    values = np.array(each)
+    error = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
+    return SeedError(len(values), float(values.mean()), error, float(values.min()), float(values.max()))
 
 
 def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:

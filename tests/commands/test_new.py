@@ -156,3 +156,15 @@ def test_a_new_ensemble_is_a_sweep_over_distributions(tmp_path: Path, monkeypatc
     assert sweep.is_ensemble
     assert len(sweep.points) == 32
     assert not sweep.refused
+
+
+def test_the_schema_of_jobs_knows_a_new_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "--of", "job"]) == 0
+    checker = CHECKER(json.loads(capsys.readouterr().out))
+    assert main(["new", "job", str(tmp_path / "cu")]) == 0
+    job = tomllib.loads((tmp_path / "cu.toml").read_text())
+    assert checker.is_valid(job)
+    job["powder"]["sizes"] = ["18 um", "26 um", "38 um"]
+    assert checker.is_valid(job)
+    assert not checker.is_valid(job | {"within": "30 um"})
+    assert not checker.is_valid(job | {"powder": {"material": "Cu"}})

@@ -13,7 +13,8 @@ from coupler.measures import REBOUNDS, STICKS, UNDECIDED
 from coupler.physics import materials
 from coupler.physics.adhesion import THERMAL, PairFormula, critical_velocity, pair_formula
 from coupler.spray.flight import melting
-from coupler.spray.window import ERODES, EROSION, Spray, quantile
+from coupler.spray.sizes import Sizes
+from coupler.spray.window import ERODES, EROSION, Spray
 from coupler.studies.table import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -31,8 +32,9 @@ def test_the_critical_velocity_falls_with_size_as_published() -> None:
 
 def test_the_distribution_passes_through_its_three_diameters() -> None:
     sizes = 15e-6, 25e-6, 40e-6
-    assert [quantile(*sizes, u) for u in (0.1, 0.5, 0.9)] == pytest.approx(sizes, rel=1e-12)
-    assert quantile(25e-6, 25e-6, 25e-6, 0.01) == 25e-6
+    powder = Sizes.of_quantiles(*sizes)
+    assert [powder.diameter(u) for u in (0.1, 0.5, 0.9)] == pytest.approx(sizes, rel=1e-12)
+    assert Sizes.of_quantiles(25e-6, 25e-6, 25e-6).diameter(0.01) == pytest.approx(25e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,277 @@
+"""What a job computes: the scenes of its impacts and coatings, and how many of which resolution, from the time that it is given."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from .. import units
+from ..errors import ColdsprayError, SceneError
+from ..files.inputs import parse_toml, read_text
+from ..physics import materials
+from ..physics.materials import Material
+from ..scene.job import JobData
+from ..scene.messages import in_words
+from ..scene.tables import read_table
+from ..spray import nozzles
+from ..spray.flight import DRAG_LAWS, Flight, fly_together
+from ..spray.gas import Flow
+from ..spray.sizes import Sizes
+from ..spray.window import Spray, spray
+from . import cost
+from . import gas as scene_gas
+from .forecast import forecast
+from .own import with_library
+from .planning import plan
+from .powder import sizes_of
+from .reading import Scene
+
+ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
+BRACKET = 3  # velocities that a search computes before it halves; the first ratio of its bracket is ...
+RATIO = 0.22  # ... this share of its middle
+START = 4.0  # processor time, s, of the start of a run and of its pictures
+PARALLEL = 0.8  # of the processor time over the cores: what several threads and runs of unequal length reach
+WITHIN = 0.4, 1.4  # of the velocity of the median particle: where a critical velocity is sought
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How much a job computes. bonds: points of the impacts whose bonds are computed, 0: none; placements at each velocity; tolerance:
+    width of a bracket over its middle; coarser: points of the searches that measure the error of the resolution, 0: none; sets: points
+    of the searches with the other strength sets of the powder, 0: none; points of the largest particle of a coating; disc: radius, in
+    median diameters, that its centres fall on; layers; seeds: coatings of other particles."""
+
+    bonds: int
+    placements: int
+    tolerance: float
+    coarser: int
+    sets: int
+    points: int
+    disc: float
+    layers: int
+    seeds: int
+
+    @property
+    def words(self) -> str:
+        """The choice as a sentence."""
+        bonds = f"bonds with {self.bonds} points, {self.placements} at each velocity, to {self.tolerance:.0%}"
+        texts = [bonds if self.bonds else "no bonds"] + ["their error of the resolution"] * (self.coarser > 0)
+        texts += ["the other strength sets"] * (self.sets > 0)
+        return f"{', '.join(texts)}; coatings: {self.seeds} of {self.number} particles with {self.points} points"
+
+    @property
+    def number(self) -> int:
+        """Particles of a coating: about seven in a layer to the square of a diameter of the disc's radius."""
+        return self.layers * round(7.4 * self.disc**2)
+
+
+CHOICES = (
+    Choice(0, 1, 0.1, 0, 0, 400, 0.7, 1, 1),
+    Choice(0, 1, 0.1, 0, 0, 1000, 0.9, 2, 2),
+    Choice(5000, 1, 0.1, 0, 0, 1000, 0.9, 2, 2),
+    Choice(5000, 1, 0.05, 0, 5000, 1000, 0.9, 2, 3),
+    Choice(16000, 1, 0.1, 5000, 5000, 1000, 0.9, 2, 3),
+    Choice(16000, 1, 0.05, 5000, 5000, 1000, 1.2, 3, 4),
+    Choice(16000, 3, 0.05, 5000, 5000, 2000, 1.2, 3, 4),
+    Choice(40000, 3, 0.05, 10000, 16000, 2000, 1.6, 4, 6),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as it is read. name; raw: its tables, as the file has them; data: the same in SI units; sizes: of the powder; metals: by
+    name; nozzle: of the gas."""
+
+    name: str
+    raw: dict[str, Any]
+    data: JobData
+    sizes: Sizes
+    metals: Mapping[str, Material]
+    nozzle: nozzles.Nozzle
+
+    @property
+    def metal(self) -> Material:
+        """Metal of the powder."""
+        return self.metals[self.data.powder.material]
+
+    @property
+    def base(self) -> Material:
+        """Metal of the substrate."""
+        return self.metals[self.data.substrate.material]
+
+    @cached_property
+    def flow(self) -> Flow:
+        """Flow of the gas. Raises SceneError."""
+        try:
+            return scene_gas.flow(self.data.gas, self.nozzle)
+        except ColdsprayError as error:
+            raise SceneError([f"gas.{error}"], self.name) from None
+
+    @cached_property
+    def arrived(self) -> Spray:
+        """The powder at the target, with the formula for its metal and the substrate."""
+        gas = self.data.gas
+
+        def fly(diameters: Any) -> list[Flight]:
+            return fly_together(self.flow, self.metal, diameters, gas.powder_temperature, DRAG_LAWS[gas.drag])
+
+        return spray(self.metal, self.base, self.sizes, fly)
+
+    def on(self, base: str, points: int, strength: str = "") -> Scene:
+        """The scene of a particle of median size, as it arrives, with computed bonds, on a metal of the job. strength: a set of the
+        powder in place of its own."""
+        k = len(self.arrived.share) // 2
+        D = float(self.arrived.diameter[k])
+        tables = self._materials(self.data.powder.material, base)
+        if strength:
+            tables[self.data.powder.material]["strength"] = strength
+        return Scene.from_dict({
+            "particle": {
+                "material": self.data.powder.material, "diameter": _um(D), "velocity": f"{self.arrived.velocity[k]:.4g} m/s",
+                "temperature": f"{self.arrived.temperature[k]:.4g} K",
+            },
+            "substrate": self._base(base, 6.0 * D, 3.0 * D), "adhesion": {"kind": "cohesive", "criterion": "exposure"},
+            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * D**3, points))}, "materials": tables,
+        }, f"{self.name}_on_{base}")  # fmt: skip
+
+    def coating(self, choice: Choice, seed: int) -> Scene:
+        """The scene of a coating of the particles that stick by the formula, or of all where none does; all that hit are tied."""
+        smallest, median, largest = self.middle(choice.points)
+        radius, spread = choice.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
+        metal = self.data.powder.material
+        by_number = median * math.exp(-3.0 * spread**2)  # Hatch & Choate (1929), J. Franklin Inst. 207, 369
+        return Scene.from_dict({
+            "preset": "draft", "gas": self.raw["gas"], "spray": self.raw.get("spray", {}),
+            "coating": {
+                "material": metal, "number": choice.number, "layers": choice.layers, "radius": _um(radius), "positions": "even",
+                "diameter": _um(min(max(by_number, smallest), largest)), "spread": max(math.exp(spread), 1.0),
+                "smallest": _um(smallest), "largest": _um(largest), "seed": seed,
+            },
+            "substrate": self._base(self.data.substrate.material, 2.0 * radius + 3.7 * median, 3.0 * median),
+            "adhesion": {"kind": "tied", "criterion": "all"}, "output": {"at": "ends"},
+            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * largest**3, choice.points))},
+            "materials": self._materials(metal, self.data.substrate.material), "nozzles": self.raw["nozzles"],
+        }, f"{self.name}_coating")  # fmt: skip
+
+    def middle(self, points: int) -> tuple[float, float, float]:
+        """Smallest, median and largest diameter (m) of the particles of a coating: as wide a range about the middle of the mass that
+        sticks by the formula as its smallest particle has ROOM for points."""
+        ratio = self.arrived.ratio
+        stick = self.arrived.share[(ratio >= 1.0) & (ratio < 2.0)]
+        median = self.sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
+        half = (points / ROOM) ** (1.0 / 6.0)
+        return max(median / half, self.sizes.diameter(0.05)), median, min(median * half, self.sizes.diameter(0.95))
+
+    @property
+    def bases(self) -> tuple[str, ...]:
+        """The metals that the powder hits: the substrate, then the coating."""
+        return tuple(dict.fromkeys((self.data.substrate.material, self.data.powder.material)))
+
+    def _base(self, material: str, diameter: float, height: float) -> dict[str, object]:
+        K = f"{self.data.substrate.temperature:.6g} K"
+        return {"material": material, "diameter": _um(diameter), "height": _um(height), "temperature": K}
+
+    @property
+    def other_sets(self) -> list[str]:
+        """The strength sets of the powder beside its own."""
+        name = self.data.powder.material
+        return sets_of(self.raw["materials"].get(name, {}), name)[1:]
+
+    def _materials(self, *names: str) -> dict[str, dict[str, Any]]:
+        """The tables of some metals. One whose table names no strength has the first of `sets_of`."""
+        tables = {name: dict(self.raw["materials"].get(name, {})) for name in names}
+        for name, table in tables.items():
+            if sets := sets_of(table, name):
+                table["strength"] = sets[0]
+        return tables
+
+
+def sets_of(table: Mapping[str, object], name: str) -> list[str]:
+    """The strength sets of a metal, that whose fit is known to reach the highest strain rate first; a fit without a limit counts from
+    the rate at which it begins. None of a metal whose table names its strength, or that the library does not have."""
+    try:
+        known = [] if {"strength", "law"} & table.keys() else materials.entry(str(table.get("base", name))).materials
+    except ColdsprayError:
+        return []
+
+    def reaches(metal: Material) -> float:
+        slowest, fastest = metal.strength.fitted.rate or (0.0, metal.fitted_rate)
+        return fastest if math.isfinite(fastest) else slowest
+
+    return [metal.strength.set for metal in sorted(known, key=reaches, reverse=True)]
+
+
+def _um(length: float) -> str:
+    return units.rounded(length, "um", 5)
+
+
+def read(path: Path) -> Job:
+    """Read the file of a job. Raises SceneError with every problem of it."""
+    text = read_text(path)
+    try:
+        raw = parse_toml(text)
+    except ValueError as error:
+        raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
+    problems = with_library(raw, str(path))
+    metals, found = materials.from_scene(raw["materials"])
+    known, of_nozzles = nozzles.from_tables(raw["nozzles"])
+    problems += found + of_nozzles
+    data, entries = read_table(JobData, raw)
+    problems += [in_words(entry, False, JobData) for entry in entries]
+    for field, message in (
+        ("powder.material", lambda name: name not in metals and materials.unknown(name, metals)),
+        ("substrate.material", lambda name: name not in metals and materials.unknown(name, metals)),
+        ("gas.nozzle", lambda name: name not in known and nozzles.unknown(name, known)),
+    ):
+        table, key = field.split(".")
+        name = raw[table].get(key) if isinstance(raw.get(table), dict) else None
+        if isinstance(name, str) and (said := message(name[:40])):
+            problems.append(f'{field} = "{name[:40]}": {said}')
+    sizes = None
+    if data is not None:
+        try:
+            sizes = sizes_of(data.powder, path.parent)
+        except ValueError as error:
+            problems.append(f'powder.sizes = "{data.powder.sizes}": {error}')
+    if problems or data is None or sizes is None:
+        raise SceneError(problems, str(path))
+    return Job(path.stem, raw, data, sizes, metals, known[data.gas.nozzle])
+
+
+def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: int) -> float:
+    """Wall time of a choice, s. takes(scene): processor time of one run, s."""
+    halvings = math.ceil(math.log2(RATIO / choice.tolerance))
+    each, total = choice.placements * (BRACKET + halvings), choice.seeds * (takes(job.coating(choice, 1)) + START)
+    rough = BRACKET + 1
+    for base in job.bases if choice.bonds else ():
+        total += each * (takes(job.on(base, choice.bonds)) + START)
+        total += rough * (takes(job.on(base, choice.coarser)) + START) if choice.coarser else 0.0
+        if choice.sets:
+            total += rough * len(job.other_sets) * (takes(job.on(base, choice.sets)) + START)
+    return total / (PARALLEL * cores)
+
+
+def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choice, float, tuple[Choice, float] | None]:
+    """The greatest of CHOICES that takes no longer than the job has, its time (s), and the next one with its time, None after the last.
+    takes: as of `seconds`. Raises SceneError where the least takes longer."""
+    best: tuple[Choice, float] | None = None
+    for choice in CHOICES:
+        time = seconds(job, choice, takes, cores)
+        if time > job.data.within:
+            if best is None:
+                least = units.rounded(time, "min", 2)
+                raise SceneError(
+                    [f"within = {units.rounded(job.data.within, 'min')}: too short, the least takes {least} here"],
+                    job.name,
+                )
+            return *best, (choice, time)
+        best = choice, time
+    assert best is not None
+    return *best, None
+
+
+def processor_time(factor: float) -> Callable[[Scene], float]:
+    """The expected processor time of a scene on a machine. factor: of its pace."""
+    return lambda scene: factor * forecast(plan(scene)).whole

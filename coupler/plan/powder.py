@@ -1,0 +1,63 @@
+"""The sizes of a job's powder, from what its file says or from the file of a sizer."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .. import units
+from ..files.inputs import InputError, similar
+from ..files.tables import Table, read_any_text, read_table
+from ..scene.job import Powder
+from ..spray.sizes import Sizes
+
+_LARGEST = 10_000_000  # bytes
+_SIZE, _SHARE = ("size", "diam", "größe", "durchmesser"), ("vol", "mass", "%", "q3")
+_CUMULATIVE = ("under", "cum", "passing", "undersize")
+
+
+def sizes_of(powder: Powder, folder: Path) -> Sizes:
+    """The sizes of a powder. folder: to which the name of a file is relative. Raises ValueError with what is wrong with the file."""
+    if isinstance(powder.sizes, str):
+        path = folder / Path(powder.sizes).expanduser()
+        try:
+            return sizes_in(read_table(read_any_text(path, _LARGEST), axes="xy"))
+        except InputError as error:
+            raise ValueError(f"the file {error.reason}{similar(path)}") from None
+    return Sizes.of_sieves(*powder.sizes) if len(powder.sizes) == 2 else Sizes.of_quantiles(*powder.sizes)
+
+
+def sizes_in(table: Table) -> Sizes:
+    """The sizes that a sizer has measured. A row has the lower diameter of a class and its share of the volume, which is that of the
+    mass for one metal; or the share below the diameter, where the name of the column says so or it rises to 100. Diameters are in µm
+    unless their column names another unit. Raises ValueError."""
+    size, share = _column(table, _SIZE, ""), _column(table, _CUMULATIVE, "") or _column(table, _SHARE, "")
+    names = list(table.columns)
+    size = size or names[0]
+    share = share if share and share != size else next((name for name in names if name != size), "")
+    if not share:
+        raise ValueError("it needs a column of sizes and a column of shares of the volume")
+    if "number" in share.lower() and "vol" not in share.lower():
+        raise ValueError(f"column {share!r} counts particles: export shares of the volume")
+    unit = table.units.get(size, "um").replace("µ", "u").replace("μ", "u")
+    try:
+        scale = units.parse(f"1 {unit}", "length")
+    except units.UnitError as error:
+        raise ValueError(f"column {size!r} {error}") from None
+    D, y = scale * table.columns[size], table.columns[share]
+    if (
+        (order := np.argsort(D)).size < 2
+        or not np.all(np.diff(D[order]) > 0.0)
+        or D.min() < 0.0
+        or not np.all(y >= 0.0)
+    ):
+        raise ValueError(f"columns {size!r} and {share!r} need ascending sizes and shares of zero or more")
+    D, y = D[order], y[order]
+    rises = bool(np.all(np.diff(y) >= 0.0)) and 99.0 <= y[-1] <= 101.0
+    if rises or any(word in share.lower() for word in _CUMULATIVE):
+        return Sizes.of_classes([0.0, *D.tolist()], [float(y[0]), *np.diff(y).tolist()])
+    return Sizes.of_classes([*D.tolist(), float(D[-1] ** 2 / D[-2])], y.tolist())
+
+
+def _column(table: Table, words: tuple[str, ...], otherwise: str) -> str:
+    """The first column whose name has one of some words."""
+    return next((name for name in table.columns if any(word in name.lower() for word in words)), otherwise)

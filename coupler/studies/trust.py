@@ -1,0 +1,68 @@
+"""How far a number is to be trusted: green, amber or red, by the comparisons with laboratories for its kind of metal and speed."""
+
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+GREEN, AMBER, RED = "green", "amber", "red"
+MARKS = (GREEN, AMBER, RED)  # from the best to the worst
+NEAR = 1.5  # ratio of two velocities up to which one says something about the other
+RULE = (
+    "Green: all measured values for this kind of metal at such a speed are met. Amber: some of them; or none is measured, and at least"
+    " half of those of other metals and speeds are met. Red: all else."
+)
+
+
+class Comparison(NamedTuple):
+    """A comparison with a laboratory. kind: of metal; slowest, fastest: velocities of its impacts, m/s; apart: computed less measured
+    value, "no" where they agree within their errors."""
+
+    kind: str
+    slowest: float
+    fastest: float
+    apart: str
+
+
+class Mark(NamedTuple):
+    """colour: of MARKS; why: the comparisons that it rests on, in words."""
+
+    colour: str
+    why: str
+
+
+@cache
+def table() -> dict[str, Any]:
+    """The comparisons of docs/evidence/how_good.md, quantity -> case -> Comparison, and under "kinds" the metals of each kind."""
+    raw = tomllib.loads((files(__package__) / "comparisons.toml").read_text(encoding="utf-8"))
+    return {"kinds": raw.pop("kinds")} | {
+        quantity: {case: Comparison(*row) for case, row in cases.items()} for quantity, cases in raw.items()
+    }
+
+
+def mark(quantities: Sequence[str], metal: str, velocity: float, base: str = "") -> Mark:
+    """The mark of a number that rests on some quantities, the worst of theirs. metal: of the powder, in the library; velocity: of
+    impact, m/s; base: another metal below, of which no critical velocity is measured: green is then amber. Nothing known is red."""
+    each = [_mark(quantity, metal, velocity) for quantity in quantities]
+    if not each:
+        return Mark(RED, "not compared with measurements")
+    worst, why = max((colour for colour, _ in each), key=MARKS.index), "; ".join(text for _, text in each)
+    if base and base != metal and worst == GREEN:
+        worst, why = AMBER, f"{why}; none on {base}"
+    return Mark(worst, why)
+
+
+def _mark(quantity: str, metal: str, velocity: float) -> Mark:
+    known = table()
+    kind = next((name for name, metals in known["kinds"].items() if metal in metals), "")
+    rows: list[Comparison] = list(known[quantity].values())
+    own = [row for row in rows if row.kind == kind and row.slowest / NEAR <= velocity <= row.fastest * NEAR]
+    met, met_own = (sum(row.apart == "no" for row in group) for group in (rows, own))
+    if own:
+        colour = GREEN if met_own == len(own) else AMBER if met_own else RED
+        return Mark(colour, f"{quantity}: {met_own} of {len(own)} measured for {kind} met")
+    colour = AMBER if 2 * met >= len(rows) else RED
+    return Mark(
+        colour, f"{quantity}: none for {kind or metal} near {velocity:.0f} m/s, {met} of {len(rows)} met elsewhere"
+    )
