@@ -1,226 +1,221 @@
-"""Coatings of aluminium whose deposition stress and density others have measured: python workflows/coatings_al.py
+"""Coatings of aluminium whose deposition stress others have measured: python workflows/coatings_al.py   # --jobs 2: two at a time
 
-    python workflows/coatings_al.py --docs    # runs nothing: figure and table of the page
-
-The measurements, readings, ranges and bands are in workflows/measurements.toml. Each coating is a row of docs/tables/coating_al.csv
-that is not computed again. Nothing is fitted.
+Measured values, readings, strength sets and tests are in measurements.toml, [deposition_stress], the scene is coatings_al.toml. Each
+coating is a row of docs/tables/coating_al.csv that is not computed again; --docs runs nothing and writes figure and table of the page.
 """
 
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import EVIDENCE, column, computed, failed, markdown, number, options, study_table, write_parts
+from pages import EVIDENCE, ROOT, column, computed, failed, markdown, options, spacing_of, study_table, write_parts
 
-from coupler import Result, Scene
-from coupler.errors import ColdsprayError, SolverError
+from coupler import Scene
+from coupler.errors import ColdsprayError
+from coupler.geometry.tetrahedra import volumes
+from coupler.physics.materials import material
 from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.table import Row
 
 MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())["deposition_stress"]
+KEY = ("metal", "velocity_m_s", "strength", "seed", "test")
 COLUMNS = (
-    "metal", "velocity_m_s", "diameter_um", "temperature_K", "seed", "points", "number", "layers", "disc", "strength", "stress_MPa",
-    "thermal_MPa", "density", "open", "closed", "overlap_share", "thickness_um", "eps_p", "impacts", "skipped", "drift", "cpu_s",
-    "failed",
+    *KEY, "impact_m_s", "impact_K", "stress_MPa", "stress_all_MPa", "thermal_all_MPa", "density", "overlap_share", "strain", "eps_p",
+    "thickness_um", "drift", "cpu_s", "failed",
 )  # fmt: skip
-KEY = COLUMNS[:10]
-POINTS, OTHER_POINTS = 1000, (213, 2000)  # of a particle
-LADDER_AT = (585, 805)  # m/s
-NUMBER, LAYERS = 12, 2
-DISC = 0.9  # diameters: radius of the disc that the particles are aimed at
-SCENE = """
-preset = "draft"
-[coating]
-material = "{metal}"
-number = {number}
-layers = {layers}
-radius = "{radius:g} um"
-positions = "even"
-diameter = "{diameter:g} um"
-velocity = "{velocity:g} m/s"
-temperature = "{temperature:g} K"
-seed = {seed}
-[substrate]
-material = "{metal}"
-diameter = "{width:g} um"
-height = "{depth:g} um"
-[adhesion]
-kind = "tied"
-criterion = "all"
-[resolution]
-spacing = "{spacing:.4g} um"
-[materials.{metal}]
-strength = "{strength}"
-"""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One coating. velocity m/s, diameter um, temperature K of the particles; points of each; number: of particles, in so many layers
-    on a disc of `disc` diameters radius; strength: set of the library, "" for that of the comparison."""
+class Case(NamedTuple):
+    """One coating: the key of its row, and the measured row that it belongs to."""
 
     metal: str
-    velocity: float
-    diameter: float
-    temperature: float
-    seed: int
-    points: int = POINTS
-    number: int = NUMBER
-    layers: int = LAYERS
-    disc: float = DISC
-    strength: str = ""
+    velocity: str  # m/s, of the source
+    strength: str
+    seed: str
+    test: str
+    row: Sequence[Any]
 
     @property
-    def strength_set(self) -> str:
-        """The strength set."""
-        return self.strength or MEASURED["strength"][self.metal]
-
-    @property
-    def key(self) -> tuple[str, ...]:
-        """As in the table."""
-        return (
-            self.metal, f"{self.velocity:g}", f"{self.diameter:g}", f"{self.temperature:g}", f"{self.seed}", f"{self.points}",
-            f"{self.number}", f"{self.layers}", f"{self.disc:g}", self.strength_set,
-        )  # fmt: skip
-
-    @property
-    def text(self) -> str:
-        """The scene: layers on a disc; the substrate is 3.7 diameters wider and 3 high."""
-        spacing = self.diameter * (math.pi / 6.0 / self.points) ** (1.0 / 3.0)
-        width = (2.0 * self.disc + 3.7) * self.diameter
-        size = {"radius": self.disc * self.diameter, "width": width, "depth": 3.0 * self.diameter}
-        return SCENE.format(**vars(self) | {"strength": self.strength_set}, **size, spacing=spacing)
+    def settings(self) -> list[tuple[str, str]]:
+        """What its scene changes of coatings_al.toml."""
+        um, gas, kPa, temperature = self.row[:4]
+        nozzle, standoff = MEASURED["nozzles"][f"{kPa}"]
+        texts = {"coating.material": self.metal, "gas.kind": gas, "gas.nozzle": nozzle} | {
+            "coating.radius": f"{1.5 * um} um", "coating.diameter": f"{um} um", "gas.pressure": f"{kPa / 100} bar",
+            "gas.temperature": f"{temperature} degC", "gas.standoff": f"{standoff} mm", "substrate.diameter": f"{9 * um} um",
+            "substrate.height": f"{3 * um} um", "resolution.spacing": f"{spacing_of(1000, um):.4g} um",
+            f"materials.{self.metal}.strength": self.strength,
+        }  # fmt: skip
+        return [("coating.seed", self.seed), *((key, f"'{value}'") for key, value in texts.items())]
 
 
 def cases() -> Iterator[Case]:
-    """The nominal coatings, corners of the ranges, other places of the particles, other strengths of pure aluminium, other numbers of
-    points, and one heap as high as wide."""
-    rows = [(MEASURED["metals"][name], row[0]) for name in MEASURED["metals"] for row in MEASURED[name]]
-    first, *others = MEASURED["seeds"]
-    nominal = MEASURED["nominal"]
-    states = [(state, first) for state in (nominal, *MEASURED["corners"])] + [(nominal, seed) for seed in others]
-    for state, seed in states:
-        for metal, velocity in rows:
-            yield Case(metal, velocity, state["diameter_um"], state["temperature_K"], seed)
-    one = Case(*rows[0], nominal["diameter_um"], nominal["temperature_K"], first)
-    for strength in MEASURED["other_strength"]:
-        for metal, velocity in rows:
-            if metal == one.metal:
-                yield replace(one, velocity=velocity, strength=strength)
-    for points, velocity in product(OTHER_POINTS, LADDER_AT):
-        yield replace(one, points=points, velocity=velocity)
-    yield replace(one, points=OTHER_POINTS[0], number=56, layers=4, disc=1.35)
+    """The five coatings with two seeds, then the other strength sets, the tests on the first coating, and the other seeds."""
+    rows = [(metal, row) for metal in MEASURED["strength"] for row in MEASURED[metal]]
+    first, second, *seeds = map(str, MEASURED["seeds"])
+
+    def usual(seed: str, test: str = "", count: int = len(rows)) -> Iterator[Case]:
+        for metal, row in rows[:count]:
+            yield Case(metal, f"{row[4]}", MEASURED["strength"][metal][0], seed, test, row)
+
+    yield from (*usual(first), *usual(second))
+    for metal, row in reversed(rows):
+        yield from (Case(metal, f"{row[4]}", name, first, "", row) for name in MEASURED["strength"][metal][1:])
+    yield from (case for test in MEASURED["tests"] for case in usual(first, test, 1))
+    yield from (case for seed in seeds for case in usual(seed))
 
 
 def row_of(case: Case) -> dict[str, object]:
     """The coating of a case as a row of the table."""
-    row: dict[str, object] = dict(zip(KEY, case.key, strict=True))
+    row: dict[str, object] = dict(zip(KEY, case[:-1], strict=True))
+    settings = [*case.settings, *MEASURED["tests"].get(case.test, {}).items()]
     try:
-        with computed(Scene.from_text(case.text, "coating"), skip_failed=True) as (result, cpu):
-            if result.undecided is not None:
-                raise SolverError(result.undecided)
-            return row | values_of(result, case) | {"cpu_s": cpu, "failed": ""}
+        scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings)
+        with computed(scene, skip_failed=True) as (result, cpu):
+            splats, impacts = coating.read(result), result.summary["impacts"]
+            at_once = scene.particles[0]
+            return row | values_of(splats) | {
+                "impact_m_s": at_once.velocity, "impact_K": at_once.temperature, "cpu_s": cpu, "failed": "",
+                "drift": max(abs(impact["energy_drift"]) for impact in impacts),
+            }  # fmt: skip
     except ColdsprayError as problem:
         return row | failed(problem)
 
 
-def values_of(result: Result, case: Case) -> dict[str, object]:
-    """What a finished coating gives to its row."""
-    measures = coating.measure(coating.read(result), MEASURED["window"] * case.disc * case.diameter * 1e-6)
-    summary = result.summary
-    skipped = [text for text in summary["run"]["warnings"] if "was skipped" in text]
-    print(*skipped, sep="\n", end="\n" if skipped else "", flush=True)
-    strain = [layer for layer in measures.layers if layer["layer"] > 0]
-    volume = sum(layer["volume_m3"] for layer in strain)
+def values_of(splats: coating.Splats) -> dict[str, float]:
+    """The measures of a cold coating; its last layer is that of the last impacts."""
+    buried = splats.planned - splats.planned // splats.layers
+    inner = replace(splats, body=np.where(splats.impact[splats.body] > buried, 0, splats.body))
+    all_ = coating.measure(splats)
+    stress, _ = coating.in_plane(inner, all_.window_radius_m, "stress")
+    strain = flattening_strain(inner, all_.window_radius_m)
+    strained = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
     return {
-        "stress_MPa": measures.stress_in_plane_Pa * 1e-6, "thermal_MPa": measures.thermal_in_plane_Pa * 1e-6,
-        "density": 100.0 * (1.0 - measures.porosity_open - measures.porosity_closed),
-        "open": 100.0 * measures.porosity_open, "closed": 100.0 * measures.porosity_closed,
-        "overlap_share": 100.0 * measures.overlap_share, "thickness_um": measures.thickness_mean_m * 1e6,
-        "eps_p": sum(layer["eps_p_mean"] * layer["volume_m3"] for layer in strain) / volume,
-        "impacts": len(summary["impacts"]), "skipped": len(skipped),
-        "drift": max(impact["energy_drift"] for impact in summary["impacts"]),
+        "stress_MPa": stress * 1e-6, "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6,
+        "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
+        "density": 100.0 * (1.0 - all_.porosity_open - all_.porosity_closed), "overlap_share": 100.0 * all_.overlap_share,
+        "strain": strain, "thickness_um": all_.thickness_mean_m * 1e6,
+        "eps_p": float(np.average([layer["eps_p_mean"] for layer in strained], weights=[layer["volume_m3"] for layer in strained])),
     }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """A measured coating beside the computed ones: stress MPa, density %; stress, density: mean of the nominal coatings, and all.
+def flattening_strain(splats: coating.Splats, radius: float) -> float:
+    """Mean of 2/3 ln(width / height) of the splats whose middle lies within radius (m), as ellipsoids of the same second moments."""
+    x, volume = splats.mesh.points[splats.mesh.cells], np.abs(volumes(splats.mesh.points, splats.mesh.cells))
+    found = []
+    for body in np.unique(splats.body[splats.body > 0]):
+        own, v = x[splats.body == body], volume[splats.body == body, None]
+        middle = (v * own.mean(axis=1)).sum(axis=0) / v.sum()
+        away = own - middle
+        xx, yy, zz = (v * ((away**2).sum(axis=1) + away.sum(axis=1) ** 2)).sum(axis=0)  # of linear tetrahedra, times 20
+        if math.hypot(*middle[:2]) <= radius:
+            found.append(math.log(0.5 * (xx + yy) / zz) / 3.0)
+    return float(np.mean(found))
 
-    others: stress of seed 1 with the other strength sets, by set.
-    """
+
+class Comparison(NamedTuple):
+    """A measured coating beside the computed ones. measured: its row of measurements.toml; stress MPa, density %, strain, eps_p: values
+    (seeds,) with the first strength set; sets: stress with the others, by name; impact: velocity m/s and temperature K."""
 
     name: str
-    velocity: float
-    measured: tuple[float, float, float]  # stress, its error, density
-    stress: tuple[float, NDArray[np.float64]]
-    density: tuple[float, NDArray[np.float64]]
-    others: dict[str, float]
+    measured: Sequence[Any]
+    stress: NDArray[np.float64]
+    density: NDArray[np.float64]
+    strain: NDArray[np.float64]
+    eps_p: NDArray[np.float64]
+    sets: dict[str, float]
+    impact: tuple[float, float]
+
+
+def error_of(values: NDArray[np.float64]) -> float:
+    """Standard error of the mean of seeds; nan of one."""
+    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
 def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
-    """One for each measured coating, from the rows with POINTS points."""
-    size = f"{MEASURED['nominal']['diameter_um']:g}"
-    for name, metal in MEASURED["metals"].items():
-        for velocity, density, stress, error in MEASURED[name]:
-            chosen = metal, f"{velocity:g}", str(POINTS), str(NUMBER)
-            done = [r for r in rows if not r["failed"]]
-            own = [r for r in done if (r["metal"], r["velocity_m_s"], r["points"], r["number"]) == chosen]
-            usual = [r for r in own if r["strength"] == MEASURED["strength"][metal]]
-            nominal = [r for r in usual if r["diameter_um"] == size]
-            values = ((float(column(nominal, key).mean()), column(usual, key)) for key in ("stress_MPa", "density"))
-            others = {r["strength"]: number(r, "stress_MPa") for r in own if r not in usual}
-            yield Comparison(name.replace("_", " "), velocity, (stress, error, density), *values, others)
+    """One for each measured coating that is computed."""
+    for metal, sets in MEASURED["strength"].items():
+        for row in MEASURED[metal]:
+            own = [
+                r
+                for r in rows
+                if (r["metal"], r["velocity_m_s"], r["test"], r["failed"]) == (metal, f"{row[4]}", "", "")
+            ]
+            usual = [r for r in own if r["strength"] == sets[0]]
+            if usual:
+                values = (column(usual, key) for key in ("stress_MPa", "density", "strain", "eps_p"))
+                others = {r["strength"]: float(r["stress_MPa"]) for r in own if r not in usual}
+                impact = float(usual[0]["impact_m_s"]), float(usual[0]["impact_K"])
+                yield Comparison(
+                    f"{'pure Al' if metal == 'Al1100' else metal}, {row[4]} m/s", row, *values, others, impact
+                )
+
+
+def deposited_at(misfit: float, metal: str) -> float:
+    """Temperature (K) from which coating and magnesium cool to 300 K by a misfit strain."""
+    T = np.arange(300.0, 900.0)
+    rates = [material("AZ31B").thermal_expansion_at(t) - material(metal).thermal_expansion_at(t) for t in T]
+    return float(np.interp(-misfit, np.cumsum(rates), T))
+
+
+def told(values: NDArray[np.float64], digits: int) -> str:
+    """Mean and standard error."""
+    error = error_of(values)
+    return f"{values.mean():.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
-    """Computed and measured stress and density of each coating."""
-    table = []
+    """The table of the coatings, and the tests."""
+    table, metals = [], {row[4]: metal for metal in MEASURED["strength"] for row in MEASURED[metal]}
     for c in comparisons(rows):
-        stress, error, density = c.measured
-        both = enumerate((c.stress, c.density))
-        of_stress, of_density = (f"{mean:.{n}f} ({all_.min():.{n}f} to {all_.max():.{n}f})" for n, (mean, all_) in both)
-        others = (f"{c.others[name]:.0f}" if name in c.others else "-" for name in MEASURED["other_strength"])
-        table.append([c.name, f"{c.velocity:g}", f"{stress} ± {error}", of_stress, *others, density, of_density])
-    sets = (name.replace("_", " ") for name in MEASURED["other_strength"])
-    head = ["coating", "m/s", "stress measured (MPa)", "computed", *sets, "density measured (%)", "computed"]
-    return markdown(head, table, rows)
+        _, gas, _, degC, v, density, d_density, strain, d_strain, stress, d_stress, misfit, d_misfit = c.measured
+        sets = ", ".join(f"{value:.0f}" for value in c.sets.values()) or "-"
+        table.append([
+            c.name, f"{gas} {degC} °C: {c.impact[0]:.0f} m/s, {c.impact[1]:.0f} K", f"{stress} ± {d_stress}", told(c.stress, 0), sets,
+            f"{strain} ± {d_strain}", f"{told(c.strain, 2)} ({c.eps_p.mean():.1f})", f"{density} ± {d_density}", told(c.density, 1),
+            f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, metals[v]):.0f} K",
+        ])  # fmt: skip
+    head = "coating | at impact | stress (MPa) | computed | other sets | strain | computed (plastic) | density (%) | computed | misfit"
+    tests = [f"{r['test']} {float(r['stress_MPa']):.0f} MPa" for r in rows if r["test"] and not r["failed"]]
+    found = ["", f"Tests, with the first coating and seed: {', '.join(tests)}."] if tests else []
+    return [*markdown(head, table, rows), *found]
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Computed over measured: stress and density."""
-    figure = blank(8.0, 3.8, 110)
-    for left, title, of in ((0.09, "residual stress (MPa)", "stress"), (0.59, "density (%)", "density")):
+    """Computed over measured: stress, with the other strength sets as crosses, and density."""
+    figure, found = blank(8.0, 3.8, 110), list(comparisons(rows))
+    for left, title, k in ((0.09, "deposition stress (MPa)", 9), (0.59, "density (%)", 5)):
         axes = figure.add_axes((left, 0.14, 0.38, 0.77))
-        ends = []
-        for c in comparisons(rows):
-            stress, error, density = c.measured
-            x, dx = (stress, error) if of == "stress" else (density, 0.0)
-            mean, band = getattr(c, of)
-            label = f"{c.name}, {c.velocity:g} m/s"
-            axes.errorbar(x, mean, [[mean - band.min()], [band.max() - mean]], dx, "o", capsize=3, label=label)
-            ends += [x - dx, x + dx, band.min(), band.max()]
+        ends: list[float] = []
+        for n, c in enumerate(found):
+            values = c.stress if k == 9 else c.density
+            x, dx, y, dy = *c.measured[k : k + 2], values.mean(), np.nan_to_num(error_of(values))
+            axes.errorbar(x, y, dy, dx, "o", capsize=3, color=f"C{n}", label=c.name)
+            others = list(c.sets.values()) if k == 9 else []
+            axes.plot([x] * len(others), others, "x", color=f"C{n}")
+            ends += [x - dx, x + dx, y - dy, y + dy, *others]
         axes.plot([min(ends), max(ends)], [min(ends), max(ends)], "k--", lw=1)
-        axes.set(title=title, xlabel="measured", ylabel="computed" if of == "stress" else "")
-        if of == "stress":
+        axes.set(title=title, xlabel="measured", ylabel="computed" if k == 9 else "")
+        if k == 9:
             axes.legend(fontsize=7, loc="upper left")
     save(figure, EVIDENCE / "coating_al.png")
 
 
 def main() -> None:
     """Run what is missing, draw, write the table of the page."""
-    a = options(__doc__, "docs")
+    a = options(__doc__, "docs", jobs=1)
     table = study_table("coating_al", COLUMNS, KEY, "python workflows/coatings_al.py")
-    for case in () if a.docs else cases():
-        if case.key not in table:
-            row = table.add(row_of(case))
-            print({name: row[name] for name in (*KEY, "stress_MPa", "density", "cpu_s", "failed")}, flush=True)
+    missing = [] if a.docs else [case for case in cases() if case[:-1] not in table]
+    with ProcessPoolExecutor(a.jobs) as pool:
+        for done in as_completed([pool.submit(row_of, case) for case in missing]):
+            print(table.add(done.result()), flush=True)
     draw(table.rows)
     write_parts("coating_stress", {"aluminium": lines(table.rows)})
 

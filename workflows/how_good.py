@@ -90,12 +90,11 @@ def critical() -> Iterator[Pair]:
 def coatings() -> Iterator[Pair]:
     """Stress and density of aluminium coatings."""
     for c in coatings_al.comparisons(table_rows("coating_al")):
-        what, page = f"{c.name} {c.velocity:g} m/s", "[coatings](coating_stress.md)"
-        stress, error, density = c.measured
-        for kind, value, error_of, (mean, all_) in (
-            ("stress, MPa", stress, error, c.stress), ("density, %", density, math.nan, c.density),
-        ):  # fmt: skip
-            yield Pair(kind, what, value, error_of, mean, 0.5 * float(np.ptp(all_)), 0 if kind[0] == "s" else 1, page)
+        page = "[coatings](coating_stress.md)"
+        for kind, k, values in (("stress, MPa", 9, c.stress), ("density, %", 5, c.density)):
+            digits = 0 if kind[0] == "s" else 1
+            error = coatings_al.error_of(values)
+            yield Pair(kind, c.name, *c.measured[k : k + 2], float(values.mean()), error, digits, page)
 
 
 def flights() -> Iterator[Pair]:
