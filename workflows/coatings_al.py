@@ -1,4 +1,4 @@
-"""Coatings of aluminium whose deposition stress others have measured: python workflows/coatings_al.py   # --jobs 2: two at a time
+"""Coatings of aluminium whose deposition stress others have measured: python workflows/coatings_al.py
 
 Measured values, readings, strength sets and tests are in measurements.toml, [deposition_stress], the scene is coatings_al.toml. Each
 coating is a row of docs/tables/coating_al.csv that is not computed again; --docs runs nothing and writes figure and table of the page.
@@ -7,14 +7,13 @@ coating is a row of docs/tables/coating_al.csv that is not computed again; --doc
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import EVIDENCE, ROOT, column, computed, failed, markdown, options, spacing_of, study_table, write_parts
+from pages import EVIDENCE, ROOT, column, computed, failed, fill, markdown, options, study_table, write_parts
 
 from coupler import Scene
 from coupler.errors import ColdsprayError
@@ -32,59 +31,39 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class Case(NamedTuple):
-    """One coating: the key of its row, and the measured row that it belongs to."""
-
-    metal: str
-    velocity: str  # m/s, of the source
-    strength: str
-    seed: str
-    test: str
-    row: Sequence[Any]
-
-    @property
-    def settings(self) -> list[tuple[str, str]]:
-        """What its scene changes of coatings_al.toml."""
-        um, gas, kPa, temperature = self.row[:4]
-        nozzle, standoff = MEASURED["nozzles"][f"{kPa}"]
-        texts = {"coating.material": self.metal, "gas.kind": gas, "gas.nozzle": nozzle} | {
-            "coating.radius": f"{1.5 * um} um", "coating.diameter": f"{um} um", "gas.pressure": f"{kPa / 100} bar",
-            "gas.temperature": f"{temperature} degC", "gas.standoff": f"{standoff} mm", "substrate.diameter": f"{9 * um} um",
-            "substrate.height": f"{3 * um} um", "resolution.spacing": f"{spacing_of(1000, um):.4g} um",
-            f"materials.{self.metal}.strength": self.strength,
-        }  # fmt: skip
-        return [("coating.seed", self.seed), *((key, f"'{value}'") for key, value in texts.items())]
+def settings(metal: str, velocity: str, strength: str, seed: str, test: str) -> list[tuple[str, str]]:
+    """What the scene of a key changes of coatings_al.toml."""
+    um, gas, kPa, temperature = next(row[:4] for row in MEASURED[metal] if f"{row[4]}" == velocity)
+    nozzle, standoff = MEASURED["nozzles"][f"{kPa}"]
+    texts = {"coating.material": metal, "gas.kind": gas, "gas.nozzle": nozzle} | {
+        "coating.radius": f"{1.5 * um} um", "coating.diameter": f"{um} um", "gas.pressure": f"{kPa / 100} bar",
+        "gas.temperature": f"{temperature} degC", "gas.standoff": f"{standoff} mm", "substrate.diameter": f"{9 * um} um",
+        "substrate.height": f"{3 * um} um", "resolution.spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um",
+        f"materials.{metal}.strength": strength,
+    }  # fmt: skip
+    changes = MEASURED["tests"].get(test, {})
+    return [("coating.seed", seed), *((key, f"'{value}'") for key, value in texts.items()), *changes.items()]
 
 
-def cases() -> Iterator[Case]:
+def keys() -> Iterator[tuple[str, ...]]:
     """The five coatings with two seeds, then the other strength sets, the tests on the first coating, and the other seeds."""
-    rows = [(metal, row) for metal in MEASURED["strength"] for row in MEASURED[metal]]
-    first, second, *seeds = map(str, MEASURED["seeds"])
-
-    def usual(seed: str, test: str = "", count: int = len(rows)) -> Iterator[Case]:
-        for metal, row in rows[:count]:
-            yield Case(metal, f"{row[4]}", MEASURED["strength"][metal][0], seed, test, row)
-
-    yield from (*usual(first), *usual(second))
-    for metal, row in reversed(rows):
-        yield from (Case(metal, f"{row[4]}", name, first, "", row) for name in MEASURED["strength"][metal][1:])
-    yield from (case for test in MEASURED["tests"] for case in usual(first, test, 1))
-    yield from (case for seed in seeds for case in usual(seed))
+    sets, seeds = MEASURED["strength"], [str(seed) for seed in MEASURED["seeds"]]
+    rows = [(metal, f"{row[4]}") for metal in sets for row in MEASURED[metal]]
+    yield from ((*row, sets[row[0]][0], seed, "") for seed in seeds[:2] for row in rows)
+    yield from ((*row, name, seeds[0], "") for row in reversed(rows) for name in sets[row[0]][1:])
+    yield from ((*rows[0], sets[rows[0][0]][0], seeds[0], test) for test in MEASURED["tests"])
+    yield from ((*row, sets[row[0]][0], seed, "") for seed in seeds[2:] for row in rows)
 
 
-def row_of(case: Case) -> dict[str, object]:
-    """The coating of a case as a row of the table."""
-    row: dict[str, object] = dict(zip(KEY, case[:-1], strict=True))
-    settings = [*case.settings, *MEASURED["tests"].get(case.test, {}).items()]
+def row_of(*key: str) -> dict[str, object]:
+    """The coating of a key as a row of the table."""
+    row: dict[str, object] = dict(zip(KEY, key, strict=True))
     try:
-        scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings)
+        scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings(*key))
+        at_impact = {"impact_m_s": scene.particles[0].velocity, "impact_K": scene.particles[0].temperature}
         with computed(scene, skip_failed=True) as (result, cpu):
-            splats, impacts = coating.read(result), result.summary["impacts"]
-            at_once = scene.particles[0]
-            return row | values_of(splats) | {
-                "impact_m_s": at_once.velocity, "impact_K": at_once.temperature, "cpu_s": cpu, "failed": "",
-                "drift": max(abs(impact["energy_drift"]) for impact in impacts),
-            }  # fmt: skip
+            drift = max(abs(impact["energy_drift"]) for impact in result.summary["impacts"])
+            return row | at_impact | values_of(coating.read(result)) | {"drift": drift, "cpu_s": cpu, "failed": ""}
     except ColdsprayError as problem:
         return row | failed(problem)
 
@@ -94,26 +73,24 @@ def values_of(splats: coating.Splats) -> dict[str, float]:
     buried = splats.planned - splats.planned // splats.layers
     inner = replace(splats, body=np.where(splats.impact[splats.body] > buried, 0, splats.body))
     all_ = coating.measure(splats)
-    stress, _ = coating.in_plane(inner, all_.window_radius_m, "stress")
-    strain = flattening_strain(inner, all_.window_radius_m)
-    strained = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
+    layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
+    eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
-        "stress_MPa": stress * 1e-6, "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6,
-        "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
+        "stress_MPa": coating.in_plane(inner, all_.window_radius_m, "stress")[0] * 1e-6,
+        "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6, "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
         "density": 100.0 * (1.0 - all_.porosity_open - all_.porosity_closed), "overlap_share": 100.0 * all_.overlap_share,
-        "strain": strain, "thickness_um": all_.thickness_mean_m * 1e6,
-        "eps_p": float(np.average([layer["eps_p_mean"] for layer in strained], weights=[layer["volume_m3"] for layer in strained])),
+        "strain": flattening_strain(inner, all_.window_radius_m), "eps_p": float(eps_p), "thickness_um": all_.thickness_mean_m * 1e6,
     }  # fmt: skip
 
 
 def flattening_strain(splats: coating.Splats, radius: float) -> float:
     """Mean of 2/3 ln(width / height) of the splats whose middle lies within radius (m), as ellipsoids of the same second moments."""
-    x, volume = splats.mesh.points[splats.mesh.cells], np.abs(volumes(splats.mesh.points, splats.mesh.cells))
-    found = []
+    corners, found = splats.mesh.points[splats.mesh.cells], []
+    volume = np.abs(volumes(splats.mesh.points, splats.mesh.cells))[:, None]
     for body in np.unique(splats.body[splats.body > 0]):
-        own, v = x[splats.body == body], volume[splats.body == body, None]
-        middle = (v * own.mean(axis=1)).sum(axis=0) / v.sum()
-        away = own - middle
+        x, v = corners[splats.body == body], volume[splats.body == body]
+        middle = (v * x.mean(axis=1)).sum(axis=0) / v.sum()
+        away = x - middle
         xx, yy, zz = (v * ((away**2).sum(axis=1) + away.sum(axis=1) ** 2)).sum(axis=0)  # of linear tetrahedra, times 20
         if math.hypot(*middle[:2]) <= radius:
             found.append(math.log(0.5 * (xx + yy) / zz) / 3.0)
@@ -121,41 +98,31 @@ def flattening_strain(splats: coating.Splats, radius: float) -> float:
 
 
 class Comparison(NamedTuple):
-    """A measured coating beside the computed ones. measured: its row of measurements.toml; stress MPa, density %, strain, eps_p: values
-    (seeds,) with the first strength set; sets: stress with the others, by name; impact: velocity m/s and temperature K."""
+    """A measured coating, its row of measurements.toml, and the rows that are computed of it: of the first strength set, of others."""
 
     name: str
+    metal: str
     measured: Sequence[Any]
-    stress: NDArray[np.float64]
-    density: NDArray[np.float64]
-    strain: NDArray[np.float64]
-    eps_p: NDArray[np.float64]
-    sets: dict[str, float]
-    impact: tuple[float, float]
-
-
-def error_of(values: NDArray[np.float64]) -> float:
-    """Standard error of the mean of seeds; nan of one."""
-    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+    rows: list[Row]
+    others: list[Row]
 
 
 def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
     """One for each measured coating that is computed."""
     for metal, sets in MEASURED["strength"].items():
-        for row in MEASURED[metal]:
-            own = [
-                r
-                for r in rows
-                if (r["metal"], r["velocity_m_s"], r["test"], r["failed"]) == (metal, f"{row[4]}", "", "")
-            ]
+        for measured in MEASURED[metal]:
+            key = metal, f"{measured[4]}", "", ""
+            own = [r for r in rows if (r["metal"], r["velocity_m_s"], r["test"], r["failed"]) == key]
             usual = [r for r in own if r["strength"] == sets[0]]
             if usual:
-                values = (column(usual, key) for key in ("stress_MPa", "density", "strain", "eps_p"))
-                others = {r["strength"]: float(r["stress_MPa"]) for r in own if r not in usual}
-                impact = float(usual[0]["impact_m_s"]), float(usual[0]["impact_K"])
                 yield Comparison(
-                    f"{'pure Al' if metal == 'Al1100' else metal}, {row[4]} m/s", row, *values, others, impact
+                    f"{metal}, {measured[4]} m/s", metal, measured, usual, [r for r in own if r not in usual]
                 )
+
+
+def error_of(values: NDArray[np.float64]) -> float:
+    """Standard error of the mean of seeds; nan of one."""
+    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
 def deposited_at(misfit: float, metal: str) -> float:
@@ -165,57 +132,51 @@ def deposited_at(misfit: float, metal: str) -> float:
     return float(np.interp(-misfit, np.cumsum(rates), T))
 
 
-def told(values: NDArray[np.float64], digits: int) -> str:
-    """Mean and standard error."""
-    error = error_of(values)
-    return f"{values.mean():.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
-
-
 def lines(rows: Sequence[Row]) -> list[str]:
     """The table of the coatings, and the tests."""
-    table, metals = [], {row[4]: metal for metal in MEASURED["strength"] for row in MEASURED[metal]}
+
+    def told(values: NDArray[np.float64], digits: int) -> str:
+        error = error_of(values)
+        return f"{values.mean():.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
+
+    table = []
     for c in comparisons(rows):
-        _, gas, _, degC, v, density, d_density, strain, d_strain, stress, d_stress, misfit, d_misfit = c.measured
-        sets = ", ".join(f"{value:.0f}" for value in c.sets.values()) or "-"
+        density, d_density, strain, d_strain, stress, d_stress, misfit, d_misfit = c.measured[5:]
         table.append([
-            c.name, f"{gas} {degC} °C: {c.impact[0]:.0f} m/s, {c.impact[1]:.0f} K", f"{stress} ± {d_stress}", told(c.stress, 0), sets,
-            f"{strain} ± {d_strain}", f"{told(c.strain, 2)} ({c.eps_p.mean():.1f})", f"{density} ± {d_density}", told(c.density, 1),
-            f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, metals[v]):.0f} K",
+            c.name, f"{float(c.rows[0]['impact_m_s']):.0f}, {float(c.rows[0]['impact_K']):.0f}",
+            f"{stress} ± {d_stress}", told(column(c.rows, "stress_MPa"), 0),
+            ", ".join(f"{float(r['stress_MPa']):.0f}" for r in c.others) or "-",
+            f"{strain} ± {d_strain}", told(column(c.rows, "strain"), 2),
+            f"{density} ± {d_density}", told(column(c.rows, "density"), 1),
+            f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, c.metal):.0f} K",
         ])  # fmt: skip
-    head = "coating | at impact | stress (MPa) | computed | other sets | strain | computed (plastic) | density (%) | computed | misfit"
+    head = "coating | m/s, K | stress (MPa) | computed | other | strain | computed | density (%) | computed | misfit"
     tests = [f"{r['test']} {float(r['stress_MPa']):.0f} MPa" for r in rows if r["test"] and not r["failed"]]
-    found = ["", f"Tests, with the first coating and seed: {', '.join(tests)}."] if tests else []
-    return [*markdown(head, table, rows), *found]
+    return [*markdown(head, table, rows), *(f"Test, first coating and seed: {test}." for test in tests)]
 
 
 def draw(rows: Sequence[Row]) -> None:
     """Computed over measured: stress, with the other strength sets as crosses, and density."""
-    figure, found = blank(8.0, 3.8, 110), list(comparisons(rows))
-    for left, title, k in ((0.09, "deposition stress (MPa)", 9), (0.59, "density (%)", 5)):
+    figure = blank(8.0, 3.8, 110)
+    places = {"stress_MPa": (0.09, "deposition stress (MPa)", 9), "density": (0.59, "density (%)", 5)}
+    for key, (left, title, k) in places.items():
         axes = figure.add_axes((left, 0.14, 0.38, 0.77))
-        ends: list[float] = []
-        for n, c in enumerate(found):
-            values = c.stress if k == 9 else c.density
-            x, dx, y, dy = *c.measured[k : k + 2], values.mean(), np.nan_to_num(error_of(values))
-            axes.errorbar(x, y, dy, dx, "o", capsize=3, color=f"C{n}", label=c.name)
-            others = list(c.sets.values()) if k == 9 else []
-            axes.plot([x] * len(others), others, "x", color=f"C{n}")
-            ends += [x - dx, x + dx, y - dy, y + dy, *others]
-        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], "k--", lw=1)
-        axes.set(title=title, xlabel="measured", ylabel="computed" if k == 9 else "")
-        if k == 9:
-            axes.legend(fontsize=7, loc="upper left")
+        for n, c in enumerate(comparisons(rows)):
+            (x, dx), y, other, colour = c.measured[k : k + 2], column(c.rows, key), column(c.others, key), f"C{n}"
+            axes.errorbar(x, y.mean(), np.nan_to_num(error_of(y)), dx, "o", capsize=3, color=colour, label=c.name)
+            axes.plot(np.full(len(other), x), other, "x", color=colour)
+        low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+        axes.plot([low.min(), high.max()], [low.min(), high.max()], "k--", lw=1)
+        axes.set(title=title, xlabel="measured", ylabel="computed")
+    axes.legend(fontsize=7)
     save(figure, EVIDENCE / "coating_al.png")
 
 
 def main() -> None:
     """Run what is missing, draw, write the table of the page."""
-    a = options(__doc__, "docs", jobs=1)
+    a = options(__doc__, "docs")
     table = study_table("coating_al", COLUMNS, KEY, "python workflows/coatings_al.py")
-    missing = [] if a.docs else [case for case in cases() if case[:-1] not in table]
-    with ProcessPoolExecutor(a.jobs) as pool:
-        for done in as_completed([pool.submit(row_of, case) for case in missing]):
-            print(table.add(done.result()), flush=True)
+    fill(table, () if a.docs else keys(), row_of)
     draw(table.rows)
     write_parts("coating_stress", {"aluminium": lines(table.rows)})
 

@@ -89,10 +89,10 @@ def critical() -> Iterator[Pair]:
 
 def coatings() -> Iterator[Pair]:
     """Stress and density of aluminium coatings."""
+    page = "[coatings](coating_stress.md)"
     for c in coatings_al.comparisons(table_rows("coating_al")):
-        page = "[coatings](coating_stress.md)"
-        for kind, k, values in (("stress, MPa", 9, c.stress), ("density, %", 5, c.density)):
-            digits = 0 if kind[0] == "s" else 1
+        for kind, k, digits, key in (("stress, MPa", 9, 0, "stress_MPa"), ("density, %", 5, 1, "density")):
+            values = column(c.rows, key)
             error = coatings_al.error_of(values)
             yield Pair(kind, c.name, *c.measured[k : k + 2], float(values.mean()), error, digits, page)
 
