@@ -45,10 +45,9 @@ def cool(
 ) -> dict[str, float]:  # fmt: skip
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
-    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. recover(s): called with the time of
-    each half of a step. Returns steps, hottest and mean temperatures before
-    and after (K), and the heat (J) that has left through fixed nodes and to the gas. Raises SolverError when the linear solver does not
-    come to an end.
+    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. recover(s): called with the time of each half of a
+    step. Returns steps, hottest and mean temperatures before and after (K), and the heat (J) that has left through fixed nodes and to
+    the gas. Raises SolverError when the linear solver does not converge.
     """
     t = target
     n, m = len(t.nodes.x), len(t.mesh.conn)
