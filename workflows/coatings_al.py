@@ -41,17 +41,20 @@ def settings(metal: str, velocity: str, strength: str, seed: str, test: str) -> 
         "substrate.height": f"{3 * um} um", "resolution.spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um",
         f"materials.{metal}.strength": strength,
     }  # fmt: skip
-    changes = MEASURED["tests"].get(test, {})
+    changes = dict(MEASURED["tests"].get(test, {}))
+    if test in MEASURED["hot"]:
+        changes = {"coating.number": "18", "coating.layers": "3", "coating.radius": "'18 um'", **MEASURED["hot"][test]}
     return [("coating.seed", seed), *((key, f"'{value}'") for key, value in texts.items()), *changes.items()]
 
 
 def keys() -> Iterator[tuple[str, ...]]:
-    """The five coatings with two seeds, then the other strength sets, the tests on the first coating, and the other seeds."""
+    """The five coatings with two seeds, the other strength sets, the tests on the first coating and at 805 m/s, the other seeds."""
     sets, seeds = MEASURED["strength"], [str(seed) for seed in MEASURED["seeds"]]
     rows = [(metal, f"{row[4]}") for metal in sets for row in MEASURED[metal]]
     yield from ((*row, sets[row[0]][0], seed, "") for seed in seeds[:2] for row in rows)
     yield from ((*row, name, seeds[0], "") for row in reversed(rows) for name in sets[row[0]][1:])
     yield from ((*rows[0], sets[rows[0][0]][0], seeds[0], test) for test in MEASURED["tests"])
+    yield from (("Al1100", "805", sets["Al1100"][0], seeds[0], test) for test in MEASURED["hot"])
     yield from ((*row, sets[row[0]][0], seed, "") for seed in seeds[2:] for row in rows)
 
 

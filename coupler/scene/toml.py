@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -91,7 +92,9 @@ def changed(text: str, settings: Settings) -> str:
             set_key(document, key, None if value is None else _value(value))
         except ValueError as error:
             raise ValueError(f"--set {error}") from None
-    return document.as_string()
+    written, meant = document.as_string(), document.unwrap()
+    # where the file has dotted keys, tomlkit can write a plain key into the table that is set before it
+    return written if tomllib.loads(written) == meant else tomlkit.dumps(meant)
 
 
 def set_key(table: Any, key: str, value: object) -> None:

@@ -30,6 +30,13 @@ def test_settings_take_the_place_of_the_file(capsys: pytest.CaptureFixture[str])
         assert words in text
 
 
+def test_a_key_set_after_a_table_among_dotted_keys_is_the_scene_s() -> None:
+    """It came into the table of the metal, and the scene was refused."""
+    text = 'materials.Ni.G = "76 GPa"\n' + Path(SINGLE).read_text().replace('effects = "auto"', "", 1)
+    scene = Scene.from_text(text, settings=[("materials.Ti.G", "'31 GPa'"), ("effects", "['auto', '-friction']")])
+    assert scene.effects == ["auto", "-friction"]
+
+
 def test_a_preset_takes_the_place_of_the_scene_s_own_resolution(tmp_path: Path) -> None:
     path = tmp_path / "fine.toml"
     path.write_text(Path(SINGLE).read_text() + '[resolution]\nspacing = "0.5 um"\ngrowth = 0.2\n')
