@@ -154,8 +154,9 @@ def lines(rows: Sequence[Row]) -> list[str]:
             f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, c.metal):.0f} K",
         ])  # fmt: skip
     head = "coating | m/s, K | stress (MPa) | computed | other | strain | computed | density (%) | computed | misfit"
-    tests = [f"{r['test']} {float(r['stress_MPa']):.0f} MPa" for r in rows if r["test"] and not r["failed"]]
-    return [*markdown(head, table, rows), *(f"Test, first coating and seed: {test}." for test in tests)]
+    tested = ((f"{r['velocity_m_s']} m/s, {r['test']}", r) for r in rows if r["test"] and not r["failed"])
+    tests = [f"{test} {float(r['stress_MPa']):.0f} MPa" for test, r in tested]
+    return [*markdown(head, table, rows), *(["", f"Tests: {'; '.join(tests)}."] if tests else [])]
 
 
 def draw(rows: Sequence[Row]) -> None:

@@ -111,7 +111,7 @@ def threads_of(count: int) -> Iterator[None]:
 
 
 def at_least(count: int) -> None:
-    """Compute in `count` threads, where there are fewer, until the end of the `threads_of` that the caller is in."""
+    """Raise the number of threads to `count`, at most that of the cores, until the enclosing `threads_of` ends."""
     if _current.get().count < min(count, cores()) - 1:
         _current.get().close()
         _current.set(_of(count))

@@ -110,7 +110,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """Verdict by the normal velocity over the formula's critical velocities; the scene ties by that of the particle's metal."""
+    """Verdict by the normal velocity over the critical velocities of the formula. Where the scene ties particles by velocity, the
+    critical velocity of the particle's metal decides."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)

@@ -54,7 +54,7 @@ class PointState(MetalState):
     """Of n points, in any engine. lammps=True: arrays that LAMMPS keeps and integrates, by its names: x m, v and vest m/s,
     f N, esph J/kg ...
 
-    Put into a fresh particle they make it go on to the last bit. The others are the state of the law: rate 1/s, sigma_y Pa, J volume
+    A new particle with these arrays continues with equal numbers. The others are the state of the law: rate 1/s, sigma_y Pa, J volume
     ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step. An engine adds its own.
     """
 
@@ -302,7 +302,7 @@ class Particle(LocalState, ABC):
         """Largest stable time step in s: it falls with the smallest principal stretch, which MACHDYN's own bound
         ignores.
 
-        Raises SolverError when a point is crushed flat or no longer a number.
+        Raises SolverError when a point is crushed flat, or is not a finite number.
         """
         if self.n == 0:  # a rank that the balance left without points
             return np.inf
@@ -330,7 +330,7 @@ class Particle(LocalState, ABC):
         return np.append(parts[:, :5].sum(axis=0), parts[:, 5].max())
 
     def _recoverable(self, stored: float) -> float:
-        """Recoverable energy, J, of the energy that stresses hold: without the heat in it."""
+        """Elastic energy, J: the stored energy less the heat in it. stored: energy of pressure and deviators, J."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
