@@ -71,8 +71,8 @@ class Setup(NamedTuple):
 
 
 def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
-    """Read the conditions, and claim the files of --csv and --png. command, sizes: its name and its option of diameters, for messages.
-    Raises SceneError with every problem."""
+    """Read the conditions, and check that the files of --csv and --png can be written. Messages use `command`, the name of the command,
+    and `sizes`, its option for diameters. Raises SceneError with every problem of the conditions."""
     from ..errors import SceneError
     from ..files.outputs import claim_file
     from ..physics import materials

@@ -169,9 +169,11 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
         return given or 1.0
     try:
         named = parse(f"1 {of_file}", "length")
-    except UnitError as problem:
+    except UnitError:
         if given is None:
-            raise SplatError(f"the unit of x, y and z {problem}; or give --unit") from None
+            raise SplatError(
+                f"the unit of x, y and z, {of_file!r:.20}, is no length: correct it, or give --unit"
+            ) from None
         return given
     if given is not None and given != named:
         text = f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"

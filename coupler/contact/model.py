@@ -75,8 +75,8 @@ class Projections(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Of the candidates of each body's points: nodes[bounds[b]:bounds[b + 1]] of these, last (k,3) m: where they were at the last
-    projection; travel (bodies,) m: bound on how far one of them has moved since the search."""
+    """Motion of the candidate faces of each body's points: nodes[bounds[b]:bounds[b + 1]] of the faces, last (k,3) m: positions of the
+    nodes at the last projection, travel (bodies,) m: bound on how far one of them has moved since the search."""
 
     nodes: Ints
     bounds: Ints
@@ -85,5 +85,5 @@ class Motion(NamedTuple):
 
 
 def motion(nodes: Ints, bounds: Ints, x: Floats) -> Motion:
-    """The motion record of nodes whose positions are now x (N,3) m."""
+    """`Motion` that starts at the present positions x (N,3) m, with zero travel."""
     return Motion(nodes, bounds, x[nodes], np.zeros(len(bounds) - 1))

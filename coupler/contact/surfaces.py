@@ -164,10 +164,10 @@ def interface(
 def _facing(
     points: np.ndarray, outward: np.ndarray, x: np.ndarray, facets: np.ndarray, ids: np.ndarray, reach: float, cell: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Closest of the facets `ids` that faces each point (n,3) of a surface with normals outward (n,3), within `reach` m.
+    """For each point, the closest facet within `reach` m, among those of `ids` that face the point.
 
-    x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
-    (n,3) of its closest point; gap (n,) m, negative inside).
+    points (n,3) m, outward (n,3): normals at the points, x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet
+    (n,), -1 where there is none; weights (n,3) of its closest point; gap (n,) m, negative inside).
     """
     ids = broad.facets_within(x, facets, ids, *broad.bounds(points - reach, points + reach))
     faces = faces_of(facets[ids], np.ones(len(ids), np.int64))

@@ -129,7 +129,10 @@ def put(record: R, into: R) -> None:
         if isinstance(value, np.ndarray) and value.shape == own.shape:
             own[...] = value
         elif isinstance(value, np.ndarray) and (len(own) or value.shape[1:] != own.shape[1:]):
-            raise CheckpointError(f"a state does not fit: {name} has the shape {value.shape}, needed {own.shape}")
+            raise CheckpointError(
+                f"the checkpoint does not fit: {name} has the shape {value.shape}, needed {own.shape};"
+                " start again with coldspray run --force"
+            )
         elif is_dataclass(value) and isinstance(own, Kept):
             own.restore(value)
         elif is_dataclass(value):
@@ -167,4 +170,7 @@ def check_indices(record: object, **counts: int) -> None:
     for name, spec in shapes_of(record).items():
         value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):
-            raise CheckpointError(f"a state does not fit: {name} refers to {spec.index_of} that do not exist")
+            raise CheckpointError(
+                f"the checkpoint does not fit: {name} refers to {spec.index_of} that do not exist;"
+                " start again with coldspray run --force"
+            )

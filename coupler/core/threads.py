@@ -111,7 +111,7 @@ def threads_of(count: int) -> Iterator[None]:
 
 
 def at_least(count: int) -> None:
-    """Raise the number of threads to `count`, at most that of the cores, until the enclosing `threads_of` ends."""
+    """Increase the number of threads to `count`, at most one per core, until the enclosing `threads_of` ends."""
     if _current.get().count < min(count, cores()) - 1:
         _current.get().close()
         _current.set(_of(count))

@@ -47,7 +47,8 @@ class Conductors(NamedTuple):
 
 @dataclass(frozen=True)
 class Conductances:
-    """What conducts between n nodes. from_gas (n,) W/K; indptr (n+1,), indices: the pattern, each row's own node first."""
+    """Thermal conductances between n nodes, and from the gas to each, from_gas (n,) W/K. indptr (n+1,), indices: sparsity pattern
+    of the matrix (CSR), in each row the diagonal first."""
 
     elements: Conductors
     links: Conductors
@@ -57,7 +58,7 @@ class Conductances:
 
     @classmethod
     def of(cls, x: np.ndarray, c: Cells, links: Sequence[Links], from_gas: np.ndarray) -> "Conductances":
-        """Those of elements with nodes at x (n,3) m and of links between them."""
+        """Conductances of elements with nodes at x (n,3) m and of links between the bodies."""
         n, m = len(x), len(c.conn)
         ends = [np.concatenate([link.nodes[:, None], link.triangles], axis=1) for link in links]
         conn = np.concatenate([np.zeros((0, 4), np.int32), *ends]).astype(np.int32)

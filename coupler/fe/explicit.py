@@ -323,18 +323,29 @@ class Target(TargetState):
         """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
         n, m = len(self.nodes.x), len(self.mesh.conn)
         if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
-            raise CheckpointError("a state does not fit: the target has another number of nodes or elements")
+            raise CheckpointError(
+                "the checkpoint does not fit: the target has another number of nodes or elements;"
+                " start again with coldspray run --force"
+            )
         self.least_mass = state.least_mass
         self._weigh()
         if state.horizon != self.horizon:
             self.set_window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.drag) != len(self.drag):
-            raise CheckpointError("a state does not fit: the target has other boundaries")
+            raise CheckpointError(
+                "the checkpoint does not fit: the target has other boundaries; start again with coldspray run --force"
+            )
         check_indices(state.inertia, nodes=n)
         if len(state.inertia.taken) != len(state.inertia.last):
-            raise CheckpointError("a state does not fit: the forces of scaled elements are those of other nodes")
+            raise CheckpointError(
+                "the checkpoint does not fit: the forces of scaled elements are those of other nodes;"
+                " start again with coldspray run --force"
+            )
         if (self.conduction is None) != (state.conduction is None):
-            raise CheckpointError("a state does not fit: heat is conducted in one of target and state")
+            raise CheckpointError(
+                "the checkpoint does not fit: only one of the target and the checkpoint conducts heat;"
+                " start again with coldspray run --force"
+            )
         if state.highest is not None:
             self.highest = HighestFrequency(n, m)
         put(state, self)

@@ -72,7 +72,7 @@ class Conduction(ConductionState):
         self.arrays = Flow(share, rate, flow, own, gain, self.last, self.capacity, self.T, np.zeros(n), np.zeros(n))
 
     def advance(self, dt: float, t: FiniteElements) -> None:
-        """Note a mechanical step of dt (s); in every EVERY-th conduct over all the time since the last."""
+        """Count a mechanical step of dt (s). Every EVERY-th step conducts heat over the time since the last conduction."""
         self.elapsed += dt
         self.steps += 1
         if self.steps % EVERY == 0:

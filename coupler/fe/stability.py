@@ -162,11 +162,16 @@ class HighestFrequency(FrequencyState):
         """Put a `state` into the iteration of the same target. Raises CheckpointError where it does not fit."""
         put(state, self)
         if not 0 <= self.known <= len(self.w):
-            raise CheckpointError("a state does not fit: the vector of the highest frequency has another length")
+            raise CheckpointError(
+                "the checkpoint does not fit: the vector of the highest frequency has another length;"
+                " start again with coldspray run --force"
+            )
         try:
             self._random.bit_generator.state = self.random
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise CheckpointError("a state does not fit: the random numbers") from error
+            raise CheckpointError(
+                "the checkpoint does not fit: its random numbers are not valid; start again with coldspray run --force"
+            ) from error
 
     def longest_step(
         self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None,

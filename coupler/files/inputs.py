@@ -216,7 +216,7 @@ def reading(folder: str | Path) -> Iterator[None]:
 
 
 def free_memory() -> int:
-    """Bytes that this process can still use: free on the machine, left of its cgroup, and left of its own limits."""
+    """Bytes that this process can still use: the least of what the machine, its cgroup and its own limits leave."""
     return min(_field("/proc/meminfo", "MemAvailable") or 2**62, _cgroup(), _own_limits())
 
 

@@ -114,7 +114,10 @@ class Store:
         with _named(path):
             if state and len(state.history):
                 if state.history.shape[1] != len(state.columns):
-                    raise CheckpointError("a state does not fit: the history has other columns")
+                    raise CheckpointError(
+                        "the checkpoint does not fit: the history has other columns;"
+                        " start again with coldspray run --force"
+                    )
                 self._columns = list(state.columns)
                 self._rows = array("d", state.history.ravel().tobytes())
                 write_text(path, "".join(map(_line, [self._columns, *state.history])))

@@ -66,7 +66,7 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds:
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
-    """The verdict of computed bonds beside that of the formula: undecided where they disagree, with both said."""
+    """The verdict of computed bonds, compared with that of the formula: undecided if they differ. rests_on gives both."""
     formula, bonds = impact.formula, decided.verdict
     words = formula.words(impact.towards)
     if formula.critical is None or bonds == UNDECIDED:
@@ -110,8 +110,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """Verdict by the normal velocity over the critical velocities of the formula. Where the scene ties particles by velocity, the
-    critical velocity of the particle's metal decides."""
+    """Verdict by the normal velocity over the formula's critical velocities. The ratio for the particle's own metal decides whether the
+    scene ties the particle."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)

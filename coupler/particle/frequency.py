@@ -56,7 +56,8 @@ def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -
 def linear_stress(
     team: Ints, n: int, laws: Laws, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
 ) -> None:
-    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,) for a small motion of n points, in all threads."""
+    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,): Q and residual of the small motion u of n points, into
+    `small`, in all threads."""
     law = laws[0]
     G = law.G
     for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
@@ -89,7 +90,7 @@ def linear_stress(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, total: Floats) -> None:
-    """Pass 2 of `enriched_kernels` without viscosity, and the sums of the forces at n points, total (n,3), in all threads."""
+    """Pass 2 of `enriched_kernels` without viscosity: forces, into `small`, and their sums at n points, total (n,3), in all threads."""
     for lo, hi, _ in ranges(team, 0, len(p.points), k.LEAST_PAIRS):
         for row in range(lo, hi):
             residual = apart(small.residual, p.sides[row, 1], p.sides[row, 0])

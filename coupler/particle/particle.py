@@ -51,11 +51,11 @@ class Numerics:
 
 @dataclass(frozen=True)
 class PointState(MetalState):
-    """Of n points, in any engine. lammps=True: arrays that LAMMPS keeps and integrates, by its names: x m, v and vest m/s,
-    f N, esph J/kg ...
+    """State of n points, in any engine: a new particle with this state continues with the same numbers.
 
-    A new particle with these arrays continues with equal numbers. The others are the state of the law: rate 1/s, sigma_y Pa, J volume
-    ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step. An engine adds its own.
+    lammps=True: arrays that LAMMPS stores and integrates, by its names: x m, v and vest m/s, f N, esph J/kg ... The others are the
+    state of the law: rate 1/s, sigma_y Pa, J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the
+    last step. An engine adds its own.
     """
 
     x: Annotated[np.ndarray, Rows(3, lammps=True)]
@@ -330,7 +330,7 @@ class Particle(LocalState, ABC):
         return np.append(parts[:, :5].sum(axis=0), parts[:, 5].max())
 
     def _recoverable(self, stored: float) -> float:
-        """Elastic energy, J: the stored energy less the heat in it. stored: energy of pressure and deviators, J."""
+        """Recoverable part, J, of `stored`, J, the energy of the stresses: without the part due to heat."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
@@ -367,7 +367,10 @@ class Particle(LocalState, ABC):
         Raises CheckpointError for another number of points or another engine.
         """
         if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
-            raise CheckpointError("a state does not fit: the particle has other points or another engine")
+            raise CheckpointError(
+                "the checkpoint does not fit: the particle has other points or another engine;"
+                " start again with coldspray run --force"
+            )
         put(replace(state, points=take(state.points, self.ids)), self)
         if not first:
             self.sums[:], self.internal_work = 0.0, 0.0

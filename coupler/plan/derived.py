@@ -118,8 +118,8 @@ class Derived:
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 
     def usual_time_of(self, particle: Particle) -> float:
-        """The longest an impact takes as a rule, s: the scene's time, else the flight over the gap and 3 D / v. For D the particle's
-        height, where that is larger; at a grazing angle 1.5 D / v with the velocity v towards the target."""
+        """Time that an impact usually does not exceed, s: the scene's time, else the flight over the gap and the larger of 3 h / v and
+        1.5 h / v_n. h: the particle's height; v_n: component of its velocity v towards the target."""
         if self.scene.end.time is not None:
             return self.scene.end.time
         towards = particle.velocity * math.cos(particle.angle)

@@ -62,7 +62,7 @@ def covers(bad: str, field: str) -> bool:
 
 
 def dotted(loc: tuple[int | str, ...], several: bool) -> str:
-    """A field as people write it, counted from 1; several: the scene has more than one particle."""
+    """Name of a field as in a scene, with indices from 1: particle[2].velocity; particle.velocity unless `several` particles."""
     parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] == "particle" and isinstance(p, int))]
     text = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in parts)
     return text.removeprefix(".")

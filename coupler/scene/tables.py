@@ -311,7 +311,7 @@ _SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
 
 
 class PairTable(Section):
-    """The bonds between two metals, in place of those of all: a table [[adhesion.pair]]. Pa, J/m2."""
+    """Bonds between two metals, a table [[adhesion.pair]]: they replace the bonds of [adhesion] for this pair. Pa, J/m2."""
 
     metals: tuple[str, str]
     strength: Annotated[float | None, _Stress] = None

@@ -94,9 +94,11 @@ class Cloud(MetalState):
         if self.surface is not None:
             vertices, triangles = self.surface
             if not (np.abs(vertices) < LARGEST).all():
-                raise SplatError("the carried surface has vertices that are not numbers: leave it out, or correct it")
+                raise SplatError(
+                    f"vertices of the surface are not numbers, or beyond {LARGEST:g}: correct them, or leave the surface out"
+                )
             if problem := open_or_double(np.asarray(triangles, np.int64)):
-                raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or correct it")
+                raise SplatError(f"the surface is not closed ({problem}): correct it, or leave it out")
 
     def _check_places(self, x: np.ndarray) -> None:
         box = float(np.prod(np.ptp(x, axis=0) / self.spacing + 1.0))

@@ -13,7 +13,7 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
 
     vertices (k,3) m, triangles (m,3) outwards; corner (3,): of the first cell, m; h: edge of the cells, m. Along the
     line of cells through each (x, y) a triangle that faces down is an entry and one that faces up an exit. A line
-    that meets an edge counts for one of its two triangles: both use the same sign, taken from the vertex of lower number.
+    through an edge meets exactly one of the two triangles at the edge: both measure its side from the edge's lower vertex.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)

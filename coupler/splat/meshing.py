@@ -125,7 +125,7 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
     error = inside / solid - 1.0
     if source == "carried" and not CARRIED_VOLUME_ERROR[0] < error < CARRIED_VOLUME_ERROR[1]:
         raise SplatError(
-            f"the volume in the carried surface differs by {error:+.1%} from that of the points: leave the surface out"
+            f"the volume in the carried surface differs by {error:+.1%} from the points' volume: use method 'density'"
         )
     # noise is removed before the level is sought, because it counts in the volume
     metal, _ = fields.clean(metal, 0.5, min_void)

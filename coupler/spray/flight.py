@@ -104,8 +104,8 @@ def melting(
 def fly_together(
     flow: Flow, material: Material, diameters: Sequence[float], T_feed: float = T_AMBIENT, drag: Drag = henderson
 ) -> list[Flight]:
-    """Drag and heat spheres (diameters m) from their feed, where they have T_feed (K) and the velocity of the gas at the
-    nozzle's inlet, to the target. Raises ColdsprayError if one never gets there."""
+    """Flights of spheres (diameters m) from the feed to the target, with drag and heat transfer. They start at T_feed (K) with the
+    gas velocity at the nozzle's inlet. Raises ColdsprayError if a sphere does not reach the target."""
     v_feed = flow.inside(-flow.nozzle.converging).u
     given, c_p = np.transpose(material.cp)
 

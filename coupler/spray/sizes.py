@@ -38,7 +38,7 @@ class Sizes(NamedTuple):
             if 0.0 < below < (1.0 - 1e-9) * whole and (not known or below / whole > known[-1][0]):
                 known.append((below / whole, edge))
         if len(known) < 2:
-            raise ValueError("its powder lies in fewer than three classes: give more classes, or D10, D50 and D90")
+            raise ValueError("fewer than three classes of size contain powder: give more classes, or D10, D50 and D90")
         return cls(*zip(*known, strict=True))
 
     def diameter(self, share: float) -> float:

@@ -75,8 +75,8 @@ class Coating:
 
 
 def folder_of(text: str, out: Path) -> None:
-    """Write the file of a job into its folder. Raises StoreError if the folder has the file of another job: a key other than `within`
-    differs."""
+    """Write the file of a job, `text`, into its folder `out`. Raises StoreError if the folder holds a job that differs in more than
+    `within`."""
     claim_folder(out, "job", FILES)
     kept = out / FILES[0]
     if kept.exists() and {**read_toml(kept), "within": ""} != {**parse_toml(text), "within": ""}:

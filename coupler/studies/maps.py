@@ -204,8 +204,8 @@ def _common_verdict(rows: Sequence[Row]) -> str:
 
 
 def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[float, Place, Place]]:
-    """Pairs of neighbouring places, and their distance with each axis scaled to 0..1. Two places are neighbours where the sphere whose
-    diameter joins them has no third place in it (a Gabriel graph); on a grid, along the axes. The lesser place is the first."""
+    """Neighbouring places (Gabriel graph): no third place lies in the sphere whose diameter joins the two. On a grid these are the
+    neighbours along the axes. Returns (distance, a, b), a < b; for the distance each axis is scaled to 0..1."""
     places = sorted(places)
     logs = _logs(np.array(places, float).reshape(-1, len(axes)), axes)
     if len(logs) < 2:

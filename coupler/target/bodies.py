@@ -347,15 +347,27 @@ def _check(state: BodiesState) -> None:
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
     by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
     if len(state.impact) != len(state.laws):
-        raise CheckpointError("a state does not fit: it does not name the impact of each body")
+        raise CheckpointError(
+            "the checkpoint does not fit: it does not name the impact of each body;"
+            " start again with coldspray run --force"
+        )
     fits = all(len(a) == n for a in by_node) and all(len(a) == m for a in by_element)
     if not fits or len(mesh.facet_element) != facets:
-        raise CheckpointError("a state does not fit: mesh and fields of the target have different lengths")
+        raise CheckpointError(
+            "the checkpoint does not fit: mesh and fields of the target have different lengths;"
+            " start again with coldspray run --force"
+        )
     if not {"top", "bottom", "sides"} <= set(mesh.sets):
-        raise CheckpointError("a state does not fit: the mesh lacks the faces of the substrate")
+        raise CheckpointError(
+            "the checkpoint does not fit: the mesh lacks the faces of the substrate;"
+            " start again with coldspray run --force"
+        )
     for ids in mesh.sets.values():
         if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
-            raise CheckpointError("a state does not fit: a face of the mesh refers to facets that do not exist")
+            raise CheckpointError(
+                "the checkpoint does not fit: a face of the mesh refers to facets that do not exist;"
+                " start again with coldspray run --force"
+            )
     for record in (mesh, state, *([] if state.bond is None else [state.bond])):
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 
