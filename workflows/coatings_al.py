@@ -41,9 +41,7 @@ def settings(metal: str, velocity: str, strength: str, seed: str, test: str) -> 
         "substrate.height": f"{3 * um} um", "resolution.spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um",
         f"materials.{metal}.strength": strength,
     }  # fmt: skip
-    changes = dict(MEASURED["tests"].get(test, {}))
-    if test in MEASURED["hot"]:
-        changes = {"coating.number": "18", "coating.layers": "3", "coating.radius": "'18 um'", **MEASURED["hot"][test]}
+    changes = (MEASURED["tests"] | MEASURED["hot"]).get(test, {})
     return [("coating.seed", seed), *((key, f"'{value}'") for key, value in texts.items()), *changes.items()]
 
 

@@ -14,7 +14,7 @@ from ..files.outputs import write_text
 from ..files.provenance import provenance
 from ..files.result import COLD, Result
 from ..files.store import PICTURE, PLAN, Store, StoreState
-from ..files.summary import Summary, Values
+from ..files.summary import Summary, Values, problem_of
 from ..impact.domains import build_target, restored_target
 from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunOptions
@@ -226,8 +226,20 @@ class Deposition:
         if len(self.joins) != len(self.records) or len(self.records) > len(self.plan.impacts):
             raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start again with coldspray run --force")
         target = restored_target(self.plan, state.bodies)
+        self._check_records(target)
         self._resumed = state if state.within is not None else None
         return target
+
+    def _check_records(self, bodies: Bodies) -> None:
+        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
+        try:
+            if self.records and (problem := problem_of(self._summary(bodies))) is not None:
+                raise ValueError(problem)
+        except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
+            raise CheckpointError(
+                f"the checkpoint in {self.folder} is damaged (its records of impacts: {type(error).__name__} {error}): start again"
+                " with coldspray run --force"
+            ) from error
 
     def _catch_up(self, batch: Batch, target: Bodies) -> None:
         """Write the files of the last batch and a checkpoint of the target after it, while workers compute the next one: until then

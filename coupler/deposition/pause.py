@@ -89,15 +89,10 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
         "T_max_before_K": float(t.elements.T.max()),
         "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
     }
-    shared = _contraction(*came[0], ambient)
+    shared, laws = _contraction(*came[0], ambient), np.split(t.laws, len(came))
     _contract(t, shared)
-    missing = np.array(
-        [
-            _missing_energy(*each, ambient, law, shared)
-            for each, law in zip(came, np.split(t.laws, len(came)), strict=True)
-        ]
-    )
-    missing = missing[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
+    energies = [_missing_energy(*each, ambient, law, shared) for each, law in zip(came, laws, strict=True)]
+    missing = np.array(energies)[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
     t.elements.heat[:] += missing
     t.balance.heat += float(missing.sum())
     report: Values = {**before, "ambient_K": ambient, "detached": []}
@@ -139,10 +134,8 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
         return lambda _: None
     t = bodies.target
     metals = [plan.target.material, *(plan.impacts[i - 1].material for i in bodies.impact[1:])]
-    rows_of = {
-        law: np.isin(t.law_of, [k for k, m in enumerate(metals) if recovery_of(m) is law])
-        for law in map(recovery_of, metals)
-    }
+    laws = [recovery_of(metal) for metal in metals]
+    known = {law: np.isin(t.law_of, [k for k, own in enumerate(laws) if own is law]) for law in laws if law is not None}
 
     def yields(rows: np.ndarray) -> np.ndarray:
         e = t.elements
@@ -150,9 +143,7 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
 
     def recover(time: float) -> None:
         e = t.elements
-        for law, of_law in rows_of.items():
-            if law is None:
-                continue
+        for law, of_law in known.items():
             rows = np.flatnonzero(of_law & (e.eps_p > 0.0))
             before, left = yields(rows), law.after(e.eps_p[rows], e.T[rows], time)
             e.eps_recovered[rows] += e.eps_p[rows] - left

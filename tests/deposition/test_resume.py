@@ -20,11 +20,17 @@ from scenes import SHORT, WHOLE
 from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.core.records import Rows, Shape, copied, put
+from coupler.deposition.fold import Deposition
 from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
+from coupler.impact.domains import build_target
 from coupler.impact.exchange import Impact
 from coupler.impact.recorder import Recorder
+from coupler.impact.run import RunOptions
+from coupler.impact.summary import ImpactRecord
+from coupler.plan.record import read_plan
+from coupler.progress import Progress
 
 
 @pytest.fixture
@@ -159,6 +165,27 @@ def test_a_crafted_header_is_refused(tmp_path: Path) -> None:
             np.savez(stream, header=np.frombuffer(json.dumps(made).encode(), np.uint8), **content)
         with pytest.raises(CheckpointError):
             checkpoint.read(path, Kept)
+
+
+@pytest.mark.parametrize(
+    "damage", [{"steps": "many"}, {"end": []}, {"wall_loop_s": None}, {"refused": 3}, {"undecided": 0.0, "end": {}}]
+)
+def test_records_that_make_no_summary_are_refused(
+    shared_run: SharedRuns, tmp_path: Path, damage: dict[str, Any]
+) -> None:
+    """A checkpoint is whole by its types, but the tables of its finished impacts are not what an impact leaves."""
+    result = shared_run(SHORT)
+    deposition = object.__new__(Deposition)
+    deposition.plan, deposition.folder = read_plan(result.directory), tmp_path
+    deposition.options, deposition.joins = RunOptions(Progress(quiet=True), tmp_path / "log"), []
+    deposition._began, deposition.closing = 0.0, None
+    bodies = build_target(deposition.plan)
+    record = ImpactRecord(result.summary["impacts"][0], [], [], 1.0)
+    deposition.records = [record]
+    deposition._check_records(bodies)
+    deposition.records = [replace(record, values=record.values | damage)]
+    with pytest.raises(CheckpointError, match="is damaged"):
+        deposition._check_records(bodies)
 
 
 def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
