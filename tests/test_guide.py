@@ -132,7 +132,8 @@ def run_toml(block: Block, end: dict[str, str] | None) -> None:
         Scene.from_dict(data, name[1])
         Path(name[1]).write_text(block.text if end is None else small(data, name[1], end).to_toml())
     else:
-        Scene.from_dict({**BASE, **data}, "part of a scene")
+        own = {"substrate": BASE["substrate"]} if "coating" in data else BASE
+        Scene.from_dict({**own, **data}, "part of a scene")
 
 
 def marked(page: Path) -> Any:

@@ -234,7 +234,7 @@ def _kinds(annotation: Any) -> str:
     if origin is list:
         return "a list of texts"
     if origin is tuple:
-        return "tables"
+        return "tables" if _section(annotation) else "a list of texts"
     if origin is dict:
         return "a table"
     return {str: "a text", float: "a number", int: "a whole number", bool: "`true` `false`"}[annotation]

@@ -3,83 +3,177 @@
 import glob
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import NormalDist
 
+import numpy as np
+
 from .. import units
-from ..scene.tables import Coating, read_table
+from ..physics.materials import Material, unknown
+from ..physics.shapes import sphere_volume
+from ..scene.tables import Coating, PowderTable, read_table
+from .powder import sizes_of
 
 _STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # while the table itself is at fault
 _CANDIDATES = 20  # places of which an "even" layer takes the one farthest from those it has
 _CUT = 2.0  # standard deviations of the velocity
 _BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not given
+_MIDDLE = 0.05, 0.95  # shares of the mass between which particles are drawn from sizes by mass
+_CLASSES = 200  # of equal mass or number
 
 
-def expand(raw: dict[str, object], folder: Path) -> list[str]:
+@dataclass(frozen=True)
+class Fed:
+    """A powder that particles are drawn from. rho: density, kg/m3; files: with shapes; by_number: diameters (m) and the shares of the
+    number of particles below them, where the table gives sizes by mass."""
+
+    table: PowderTable
+    rho: float = 1.0
+    files: Sequence[Path] = ()
+    by_number: tuple[np.ndarray, np.ndarray] | None = None
+
+    def diameter(self, u: float) -> float:
+        """The u-quantile (0 to 1) by number of the diameters between their limits, m."""
+        t = self.table
+        if self.by_number is not None:
+            return float(np.interp(u, *reversed(self.by_number)))
+        assert t.diameter is not None
+        sigma = math.log(t.spread)
+        if sigma == 0.0:
+            return t.diameter
+        normal = NormalDist(math.log(t.diameter), sigma)
+        low = normal.cdf(math.log(t.smallest)) if t.smallest else NormalDist().cdf(-_BROADER)
+        high = normal.cdf(math.log(t.largest)) if t.largest else NormalDist().cdf(_BROADER)
+        return math.exp(normal.inv_cdf(min(max(low + u * (high - low), 1e-12), 1.0 - 1e-12)))
+
+    @property
+    def mass(self) -> float:
+        """Mean mass of a particle, kg."""
+        middles = (np.arange(_CLASSES) + 0.5) / _CLASSES
+        return self.rho * math.fsum(sphere_volume(self.diameter(u)) for u in middles) / _CLASSES
+
+
+def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Material]) -> list[str]:
     """Put the particles of a table [coating] into a scene that has no particles. Returns the problems of having both. raw: the scene as
     nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they are. The table's own
-    problems are reported by the scene's check; until then a particle stands in for those it would make."""
+    problems are reported by the scene's check; until then a particle stands in for those it would make. catalogue: metals by name."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
         raw.setdefault("particle", [dict(_STAND_IN)])
         return []
     there = raw.get("particle")
-    if there is None:
-        problems = []
-        files = sorted(map(Path, glob.glob(str(folder / table.files), recursive=True))) if table.files else []
-        if table.files and not files:
-            problems = [f'coating.files = "{table.files[:60]}": no file in {folder} has such a name']
-        elif table.velocity is None and "gas" not in raw:
-            problems = ['coating.velocity: missing; add for example velocity = "600 m/s", or a table [gas]']
-        stand_in: dict[str, str | list[str]] = {"velocity": _STAND_IN["velocity"]} if problems else {}
-        raw["particle"] = [stand_in | particle for particle in particles(table, files)]
-        return problems
-    if not isinstance(there, list) or len(there) != table.number:
-        return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
-    return []
+    if there is not None:
+        if not isinstance(there, list) or len(there) != table.number:
+            return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
+        return []
+    fed, problems = list[Fed](), list[str]()
+    for i, powder in enumerate(table.powders, 1):
+        try:
+            if powder.velocity is None and "gas" not in raw:
+                raise ValueError('velocity: missing; add for example velocity = "600 m/s", or a table [gas]')
+            fed.append(_fed(powder, folder, catalogue))
+        except ValueError as error:
+            problems.append(f"coating.powder[{i}].{error}" if table.powder else f"coating.{error}")
+    try:
+        raw["particle"] = particles(table, fed) if not problems else [dict(_STAND_IN)]
+    except ValueError as error:
+        raw["particle"] = [dict(_STAND_IN)]
+        problems.append(f"coating.{error}")
+    return problems
 
 
-def particles(table: Coating, files: Sequence[Path] = ()) -> list[dict[str, str | list[str]]]:
+def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -> Fed:
+    """A powder with its files. folder: to which their names are relative. Raises ValueError, the field first."""
+    files = sorted(map(Path, glob.glob(str(folder / powder.files), recursive=True))) if powder.files else []
+    if powder.material not in catalogue:
+        raise ValueError(f'material = "{powder.material[:40]}": {unknown(powder.material[:40], catalogue)}')
+    if powder.files and not files:
+        raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} has such a name')
+    rho = catalogue[powder.material].rho
+    if powder.sizes is None:
+        return Fed(powder, rho, files)
+    try:
+        sizes = sizes_of(powder.sizes, folder)
+    except ValueError as error:
+        raise ValueError(f"sizes: {error}") from None
+    share = np.linspace(*_MIDDLE, _CLASSES)
+    D = np.array([sizes.diameter(u) for u in share])
+    D = D[(D >= (powder.smallest or 0.0)) & (D <= (powder.largest or math.inf))]
+    if len(D) < 2:
+        raise ValueError("smallest, largest: no particle of the powder lies between them")
+    number = np.concatenate([[0.0], np.cumsum((0.5 * (D[:-1] + D[1:])) ** -3.0)])  # each class has the same mass
+    return Fed(powder, rho, files, (D, number / number[-1]))
+
+
+def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
+    """Number of particles of each powder, whose masses have the shares of the table. Raises ValueError where one has no particle."""
+    shares = [powder.share for powder in table.powder] if table.powder else [1.0]
+    each = np.array([share / powder.mass for share, powder in zip(shares, fed, strict=True)])
+    exact = table.number * each / each.sum()
+    counts = np.floor(exact).astype(int)
+    counts[np.argsort(counts - exact, kind="stable")[: table.number - counts.sum()]] += 1
+    if not counts.all():
+        i = int(np.argmin(counts))
+        least = math.ceil(0.5 * each.sum() / each[i])
+        raise ValueError(
+            f"number = {table.number}: powder[{i + 1}] gets none of them by its share: give {least} or more"
+        )
+    return counts.tolist()
+
+
+def particles(table: Coating, fed: Sequence[Fed] | None = None) -> list[dict[str, str | list[str]]]:
     """The particles of a coating as a scene writes them, in the order of their impacts, a layer after the other.
 
     Only `random.Random.random` is drawn from, which Python keeps the same in all versions; quantities are written with so many
-    digits as they are to be read with. Velocity and temperature are left out where the table has none. files: with shapes, in place
-    of those of the table.
+    digits as they are to be read with. Velocity and temperature are left out where the table has none. fed: the powders of the table.
+    Raises ValueError where a powder is so rare that it gets no particle.
     """
+    fed = fed or [Fed(table)]
     dice = random.Random(table.seed)
+    counts = _counts(table, fed)
+    order = [k for k, count in enumerate(counts) for _ in range(count)]
+    if len(fed) > 1:
+        order = [k for _, k in sorted((dice.random(), k) for k in order)]
     places: list[tuple[float, float]] = []
     drawn = []
-    for i in range(table.number):
+    for i, k in enumerate(order):
         if i % (table.number // table.layers) == 0:
             places = []  # of this layer
         places.append(_place(table, dice, places))
-        x, y = places[-1]
-        diameter = _diameter(table, dice.random())
-        off = _cut_normal(dice.random())
-        u, tilt = dice.random(), 180.0 * dice.random() - 90.0
-        shape = "file" if files else _shape(table, u)
-        particle: dict[str, str | list[str]] = {
-            "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
-            "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
-        }  # fmt: skip
-        if files:
-            particle["file"] = str(files[int(u * len(files))].absolute())
-        if shape != "sphere":
-            particle["tilt"] = f"{tilt:.1f} deg"
-        if table.velocity is not None:
-            particle["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
-        if table.temperature is not None:
-            particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
-        if table.dwell is not None:
-            particle["dwell"] = units.show(table.dwell, "us")
-        if table.hardness is not None:
-            particle["hardness"] = units.show(table.hardness, "HV")
-        if table.yield_strength is not None:
-            particle["yield_strength"] = units.show(table.yield_strength, "MPa")
-        drawn.append(particle)
+        drawn.append(
+            _drawn(fed[k], places[-1], dice)
+            | ({"dwell": units.show(table.dwell, "us")} if table.dwell is not None else {})
+        )
     return drawn
+
+
+def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[str, str | list[str]]:
+    """One particle of a powder. place: x, y (m) of its centre."""
+    table, (x, y) = fed.table, place
+    diameter = fed.diameter(dice.random())
+    off = _cut_normal(dice.random())
+    u, tilt = dice.random(), 180.0 * dice.random() - 90.0
+    shape = "file" if fed.files else _shape(table, u)
+    particle: dict[str, str | list[str]] = {
+        "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
+        "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
+    }  # fmt: skip
+    if fed.files:
+        particle["file"] = str(fed.files[int(u * len(fed.files))].absolute())
+    if shape != "sphere":
+        particle["tilt"] = f"{tilt:.1f} deg"
+    if table.velocity is not None:
+        particle["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
+    if table.temperature is not None:
+        particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
+    if table.hardness is not None:
+        particle["hardness"] = units.show(table.hardness, "HV")
+    if table.yield_strength is not None:
+        particle["yield_strength"] = units.show(table.yield_strength, "MPa")
+    return particle
 
 
 def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
@@ -102,24 +196,13 @@ def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]
     return max((anywhere() for _ in range(_CANDIDATES)), key=lambda p: min(math.dist(p, q) for q in places))
 
 
-def _diameter(table: Coating, u: float) -> float:
-    """The u-quantile (0 to 1) of the cut log-normal distribution of diameters, m."""
-    sigma = math.log(table.spread)
-    if sigma == 0.0:
-        return table.diameter
-    normal = NormalDist(math.log(table.diameter), sigma)
-    low = normal.cdf(math.log(table.smallest)) if table.smallest else NormalDist().cdf(-_BROADER)
-    high = normal.cdf(math.log(table.largest)) if table.largest else NormalDist().cdf(_BROADER)
-    return math.exp(normal.inv_cdf(min(max(low + u * (high - low), 1e-12), 1.0 - 1e-12)))
-
-
 def _cut_normal(u: float) -> float:
     """The u-quantile of a normal distribution of deviation 1 cut at `_CUT`."""
     low = NormalDist().cdf(-_CUT)
     return NormalDist().inv_cdf(low + u * (1.0 - 2.0 * low))
 
 
-def _shape(table: Coating, u: float) -> str:
+def _shape(table: PowderTable, u: float) -> str:
     """The shape at the share u (0 to 1) of all, in the order of the table."""
     total = sum(table.shapes.values())
     for name, share in table.shapes.items():

@@ -232,7 +232,7 @@ def read(path: Path) -> Job:
     sizes = None
     if data is not None:
         try:
-            sizes = sizes_of(data.powder, path.parent)
+            sizes = sizes_of(data.powder.sizes, path.parent)
         except ValueError as error:
             problems.append(f'powder.sizes = "{data.powder.sizes}": {error}')
     if problems or data is None or sizes is None:

@@ -1,4 +1,4 @@
-"""The sizes of a job's powder, from what its file says or from the file of a sizer."""
+"""The sizes of a powder, from what a scene or job says or from the file of a sizer."""
 
 from pathlib import Path
 
@@ -7,7 +7,6 @@ import numpy as np
 from .. import units
 from ..files.inputs import InputError, similar
 from ..files.tables import Table, read_any_text, read_table
-from ..scene.job import Powder
 from ..spray.sizes import Sizes
 
 _LARGEST = 10_000_000  # bytes
@@ -15,15 +14,16 @@ _SIZE, _SHARE = ("size", "diam", "größe", "durchmesser"), ("vol", "mass", "%",
 _CUMULATIVE = ("under", "cum", "passing", "undersize")
 
 
-def sizes_of(powder: Powder, folder: Path) -> Sizes:
-    """The sizes of a powder. folder: to which the name of a file is relative. Raises ValueError with what is wrong with the file."""
-    if isinstance(powder.sizes, str):
-        path = folder / Path(powder.sizes).expanduser()
+def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
+    """The sizes of a powder, given as a scene has them. folder: to which the name of a file is relative. Raises ValueError with what is
+    wrong with the file."""
+    if isinstance(sizes, str):
+        path = folder / Path(sizes).expanduser()
         try:
             return sizes_in(read_table(read_any_text(path, _LARGEST), axes="xy"))
         except InputError as error:
             raise ValueError(f"the file {error.reason}{similar(path)}") from None
-    return Sizes.of_sieves(*powder.sizes) if len(powder.sizes) == 2 else Sizes.of_quantiles(*powder.sizes)
+    return Sizes.of_sieves(*sizes) if len(sizes) == 2 else Sizes.of_quantiles(*sizes)
 
 
 def sizes_in(table: Table) -> Sizes:

@@ -12,7 +12,7 @@ from ..errors import SceneError
 from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_text, similar
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
-from ..scene.model import SceneData, particle_tables, safe_name
+from ..scene.model import SceneData, coating_tables, particle_tables, safe_name
 from ..scene.tables import Particle, Section, read_table
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
 from .batches import Landing, side_by_side
@@ -94,7 +94,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     raw.setdefault("name", safe_name(source))
     drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
-        problems += expand(raw, Path(source).parent)
+        problems += expand(raw, Path(source).parent, catalogue)
     _set_defaults(raw)
     problems += fill(raw, catalogue)
     with_folders(raw, source)
@@ -145,7 +145,7 @@ def _set_defaults(raw: dict[str, object]) -> None:
 
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
     """The strength set or law that a scene asks for, and the names of the metals that it uses, of the scene as nested dicts."""
-    strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), raw.get("coating")]
+    strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), *coating_tables(raw)]
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from .. import units
 from .effects import NAMES, WHOLE
-from .job import FORMS, JobData
+from .job import JobData
 from .model import SceneData
 
 DRAFT = "http://json-schema.org/draft-04/schema#"
@@ -32,8 +32,12 @@ def scene_schema() -> dict[str, Any]:
         _described(f"{name}.about" if table else name, entry)
         for key, of_key in (table["properties"] if table else {}).items():
             _described(f"{name}.{key}", of_key)
-    # [coating] takes the place of the particles, [gas] gives their velocities
+    for key, of_key in tables["Share"]["properties"].items():
+        _described(f"coating.powder.{key}" if key == "share" else f"coating.{key}", of_key)
+    # [coating] takes the place of the particles, [gas] gives their velocities, [[coating.powder]] its metals
     schema["required"] = ["substrate"]
+    tables["Coating"]["required"].remove("material")
+    del tables["Share"]["required"][1:]
     table = tables["Particle"]
     table["required"].remove("velocity")
     # the table itself beside its array, without anyOf: an editor then marks the wrong key alone
@@ -48,8 +52,6 @@ def job_schema() -> dict[str, Any]:
     whole = JobData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a job of coldspray", "description": ""} | _draft_4(whole)
     tables = schema["definitions"]
-    texts = {"type": "array", "items": {"type": "string"}, "minItems": 3, "maxItems": 3}
-    tables["Powder"]["properties"]["sizes"] = {"anyOf": [{"type": "string"}, texts], "description": FORMS}
     for name, table in {"gas": "GasConditions", "spray": "Track", "substrate": "Base"}.items():
         for key, entry in tables[table]["properties"].items():
             _described(f"{name}.{key}", entry)
@@ -58,7 +60,7 @@ def job_schema() -> dict[str, Any]:
 
 def words(key: str) -> str:
     """Meaning of a key, in Markdown; of a table with ".about": words("particle.gap"), words("gas.about"). "" where there are none."""
-    table, _, name = key.rpartition(".")
+    table, _, name = key.partition(".") if "." in key else ("", "", key)
     return str((_words().get(table, {}) if table else _words()).get(name, ""))
 
 

@@ -91,7 +91,10 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
-        if loc in (("particle",), ("coating",)):  # a whole table is no answer to what is wrong with it
+        if loc in (("particle",), ("coating",)) or loc[:-1] == (
+            "coating",
+            "powder",
+        ):  # a whole table is no answer to what is wrong with it
             return f"{field} {text}"
         return f"{start} {text}" if text.startswith(("is ", "has ", "needs ", "would ")) else f"{start}: {text}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
@@ -109,9 +112,12 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
 def _model_at(loc: tuple[int | str, ...], whole: type[BaseModel]) -> type[BaseModel]:
     if not loc or loc[0] not in (names := {info.alias or n: n for n, info in whole.model_fields.items()}):
         return whole
-    annotation = whole.model_fields[names[str(loc[0])]].annotation
-    inner = (get_args(annotation) or (annotation,))[0]
-    return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else whole
+    inner = whole.model_fields[names[str(loc[0])]].annotation
+    while arguments := get_args(inner):  # of a list, of an optional table
+        inner = arguments[0]
+    if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+        return whole
+    return _model_at(tuple(part for part in loc[1:] if not isinstance(part, int)), inner)
 
 
 def shown(value: object) -> str:

@@ -1,11 +1,13 @@
 """The tables of a scene: their fields, units and limits. `coupler.scene.model` puts them together."""
 
 import math
+import re
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Annotated, Literal, Self, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -16,6 +18,7 @@ from pydantic import (
     StrictInt,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
     model_validator,
 )
@@ -188,24 +191,60 @@ class Particle(_WithDwell):
         return max(self.diameter, self.form.height(self.tilt))
 
 
-class Coating(_WithDwell):
-    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.plan.coating` makes these of it. SI units.
+def _read_sizes(value: object) -> tuple[float, ...] | str | None:
+    """Sizes of a powder in any of SIZE_FORMS: diameters in m, or the name of a file."""
+    if value is None:
+        return None
+    if isinstance(value, str) and (sieves := _SIEVES.fullmatch(value)):
+        low, high, unit = sieves.group(1, 2, 3) if sieves[1] else sieves.group(5, 4, 6)
+        value = [f"{low} {unit}", f"{high} {unit}"]
+    if isinstance(value, str) and value.lower().endswith((".csv", ".txt", ".tsv")):
+        return value
+    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+        raise ValueError(f"needs {SIZE_FORMS}")
+    try:
+        diameters = tuple(map(_Diameter.read, value))
+    except units.UnitError as error:
+        raise ValueError(f"has a diameter that {error}") from None
+    if len(value) == 2 and not diameters[0] < diameters[1]:
+        raise ValueError("needs the smaller sieve first")
+    if sorted(diameters) != list(diameters):
+        raise ValueError("needs D10, D50, D90 in ascending order")
+    return diameters
 
-    number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
-    places that are "random" or "even" (each as far as may be from those of its layer). diameter: the median of a log-normal
-    distribution by number, spread: its geometric standard deviation, smallest and largest: where it is cut. velocity,
-    temperature: one value or by size, from [gas] where there is none; velocity_spread (m/s): standard deviation about it,
-    cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt;
-    files: a pattern of files with shapes, all alike often, in their place. hardness, yield_strength (Pa): as of a particle.
+
+_SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
+SIZE_FORMS = '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv of a sizer'
+#: Sizes of a powder by mass: two diameters (m) of sieves, three below which 10, 50 and 90 % are, or the name of a sizer's file.
+PowderSizes = Annotated[
+    tuple[float, ...] | str,
+    BeforeValidator(_read_sizes),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string"},
+                {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3},
+            ],
+            "description": SIZE_FORMS,
+        }
+    ),
+]
+
+
+class PowderTable(Section):
+    """A powder of a coating. SI units.
+
+    diameter: median of a log-normal distribution by number, spread: its geometric standard deviation; or sizes, in place of both.
+    smallest, largest: limits of the diameter. velocity, temperature: one value or by size, from [gas] where there is none;
+    velocity_spread (m/s): standard deviation about it, cut at two. shapes: shares of each shape, by number; those that are no
+    spheres fall at any tilt; files: a pattern of files with shapes, all alike often, in their place. hardness, yield_strength (Pa):
+    as of a particle.
     """
 
     material: str
-    number: StrictInt = Field(ge=1, le=500)
-    layers: StrictInt = Field(1, ge=1, le=100)
-    radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
-    positions: Literal["random", "even"] = "random"
-    diameter: Annotated[float, _Diameter]
+    diameter: Annotated[float | None, _Diameter] = None
     spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
+    sizes: PowderSizes | None = None
     smallest: Annotated[float | None, _Diameter] = None
     largest: Annotated[float | None, _Diameter] = None
     velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Velocity)] = None
@@ -213,8 +252,6 @@ class Coating(_WithDwell):
     temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
     shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
     files: str | None = None
-    dwell: Annotated[float | None, _Dwell] = None
-    seed: StrictInt = Field(1, ge=0, le=2**31)
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
 
@@ -232,15 +269,75 @@ class Coating(_WithDwell):
         return value
 
     @model_validator(mode="after")
-    def _in_order(self) -> "Coating":
-        low, high = self.smallest, self.largest
-        if (low is not None and low > self.diameter) or (high is not None and high < self.diameter):
+    def _has_one_size(self) -> Self:
+        if isinstance(self, Coating) and self.powder:  # each powder has its own
+            return self
+        if (self.diameter is None) == (self.sizes is None):
+            raise ValueError('needs diameter = "22 um" or sizes = "15-45 um", one of them')
+        low, high = self.smallest or 0.0, self.largest or math.inf
+        if not low <= (self.diameter or low) <= high:
             raise ValueError("needs smallest <= diameter <= largest")
+        return self
+
+
+class Share(PowderTable):
+    """One of several powders. share: of the mass that is fed, 0 to 1."""
+
+    share: StrictFloat = Field(gt=0.0, lt=1.0)
+
+
+class Coating(_WithDwell, PowderTable):
+    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.plan.coating` makes these of it. SI units.
+
+    number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
+    places that are "random" or "even" (each as far as may be from those of its layer). powder: tables [[coating.powder]] of a blend;
+    each has the keys of PowderTable that it leaves out from [coating].
+    """
+
+    number: StrictInt = Field(ge=1, le=500)
+    layers: StrictInt = Field(1, ge=1, le=100)
+    radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
+    positions: Literal["random", "even"] = "random"
+    dwell: Annotated[float | None, _Dwell] = None
+    seed: StrictInt = Field(1, ge=0, le=2**31)
+    powder: tuple[Share, ...] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _completes_its_powders(cls, data: object) -> object:
+        if not isinstance(data, dict) or not isinstance(tables := data.get("powder"), list | tuple):
+            return data
+        common = {key: value for key, value in data.items() if key in PowderTable.model_fields}
+        powders = [_completed(table, common) for table in tables]
+        first = powders[0] if powders and isinstance(powders[0], dict) else {}
+        return {key: first[key] for key in ("material",) if key in first} | data | {"powder": powders}
+
+    @model_validator(mode="after")
+    def _adds_up(self) -> Self:
+        if self.powder is not None and len(self.powder) < 2:
+            raise ValueError(
+                "needs two tables [[coating.powder]] or more, or none: the keys of one powder stand in [coating]"
+            )
+        if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
+            raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
         if self.number % self.layers:
             raise ValueError(
                 f"needs layers that divide number = {self.number}: all layers have the same number of particles"
             )
         return self
+
+    @property
+    def powders(self) -> tuple[PowderTable, ...]:
+        """The powders of a blend, or the only one."""
+        return self.powder or (self,)
+
+
+def _completed(table: object, common: dict[str, object]) -> object:
+    """A table [[coating.powder]] with what it leaves out; diameter and sizes take the place of each other."""
+    if not isinstance(table, dict):
+        return table
+    sized = {"diameter", "spread", "sizes"} if {"diameter", "sizes"} & table.keys() else set()
+    return {key: value for key, value in common.items() if key not in sized} | table
 
 
 class GasConditions(Section):

@@ -149,10 +149,10 @@ def _written(table: Section, field: str, value: Any) -> str:
         return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
-    if field == "pair":
+    if field in ("pair", "powder"):
         return f"[{', '.join(_inline(row) for row in value)}]"
     quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
-    if field == "offset":
+    if field in ("offset", "sizes") and isinstance(value, tuple):
         return json.dumps([units.show(x, "um") for x in value])
     if field == "threshold" and dict(table).get("criterion") == "pressure":
         return json.dumps(units.show(value, "MPa"))

@@ -36,8 +36,9 @@ class Splats:
     body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came,
     counted from 1, 0 for the substrate. last: surface of the last particle, still made of
     points, (points (k,3) m, triangles), None if it has left; of each finished impact: mass (n,) kg, stayed (n,), the
-    share of it that is in the coating; planned: impacts of the run, in so many layers; patch m: radius of the disc that particles are
-    aimed at; element_size m: of the splats; undecided: indices of the impacts that are counted as stayed without a verdict."""
+    share of it that is in the coating, metal (n,): its name; planned: impacts of the run, in so many layers; patch m: radius of the
+    disc that particles are aimed at; element_size m: of the splats; undecided: indices of the impacts that are counted as stayed
+    without a verdict."""
 
     mesh: Fields
     body: NDArray[np.int64]
@@ -45,6 +46,7 @@ class Splats:
     last: tuple[NDArray, NDArray] | None
     stayed: NDArray
     mass: NDArray
+    metal: NDArray
     planned: int
     layers: int
     patch: float
@@ -93,6 +95,7 @@ def read(result: Result, before: int | None = None) -> Splats:
         raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
     impacts = plan.impacts[: len(left)]  # one that is still falling, or undecided, is not counted
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
+    metal = np.array([p.material.name for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
     stayed = 1.0 - np.array(left)
     if before is None and result.finished:
@@ -101,7 +104,7 @@ def read(result: Result, before: int | None = None) -> Splats:
     records = result.summary["impacts"][: len(left)] if before is None and result.finished else []
     undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
-    return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
+    return Splats(mesh, body, impact, last, stayed, mass, metal, len(plan.impacts), coating["layers"] if coating else 1, patch,
                   plan.splat_element_size, is_cold, undecided)  # fmt: skip
 
 
@@ -219,7 +222,8 @@ class CoatingMeasures:
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
     the coating's volume in the disc of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
-    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`;
+    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth, phases: rows of `per_layer`, `over_depth`,
+    `phases`;
     seeds: measure -> its error, where other seeds are computed (`coating_seeds`)."""
 
     impacts: int
@@ -246,6 +250,7 @@ class CoatingMeasures:
     thermal_in_plane_Pa: float
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
+    phases: list[dict[str, float | str]]
     warnings: list[str]
     seeds: dict[str, SeedError]
 
@@ -266,6 +271,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=stress, stress_error_Pa=error, thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress")[0],
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
+        phases=phases(splats, radius),
         warnings=([] if finished == planned else [unfinished]) + ([] if splats.is_cold else [NOT_COLD]), seeds={},
     )  # fmt: skip
 
@@ -343,10 +349,42 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
         + seeds("deposition_efficiency", 100.0, " %"),
         f"{'residual stress' if is_cold else 'stress before cooling'}, in plane": f"{stress:+.0f}{error} MPa{parts};"
         f" mean over the volume of the splats, error from place to place{seeds('stress_in_plane_Pa', 1e-6, ' MPa')}",
+        **(
+            {
+                "metals": "; ".join(
+                    f"{row['metal']} {row['volume_share']:.1%} of the volume, {row['fed_share']:.1%} of the mass fed,"
+                    f" {row['deposited_share']:.1%} of the mass deposited, efficiency {row['efficiency']:.1%}"
+                    for row in measures.phases
+                )
+            }
+            if len(measures.phases) > 1
+            else {}
+        ),
         "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the patch",
         "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
     }
     return list(texts.items())
+
+
+def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
+    """Shares of each metal: of the mass that is fed and that stays, of the volume of the coating in a disc of `radius` m; efficiency:
+    the mass of the metal that stays over the mass that is fed. The last particle, still made of points, has no volume here."""
+    mesh, stays = splats.mesh, splats.mass * splats.stayed
+    x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
+    own = (np.hypot(x, y) <= radius) & (splats.body > 0)
+    volume = np.bincount(
+        splats.impact[splats.body[own]] - 1, np.abs(volumes(mesh.points, mesh.cells[own])), len(splats.mass)
+    )
+    rows = list[dict[str, float | str]]()
+    for name in dict.fromkeys(splats.metal):
+        of = splats.metal == name
+        fed, left = splats.mass[of].sum(), stays[of].sum()
+        shares = {
+            "fed_share": fed / splats.mass.sum(), "deposited_share": left / stays.sum(), "efficiency": left / fed,
+            "volume_share": volume[of].sum() / max(volume.sum(), 1e-300),
+        }  # fmt: skip
+        rows.append({"metal": str(name)} | {key: float(share) for key, share in shares.items()})
+    return rows
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:

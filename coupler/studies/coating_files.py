@@ -9,7 +9,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 from matplotlib.colors import ListedColormap
-from matplotlib.patches import PathPatch
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -30,6 +30,8 @@ NAMES = (
     "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
 _DRAWN = ("eps_p", "T", "von_mises")
+#: Colours of metals in a micrograph, red green blue; the first is that of a coating of one metal.
+_PHASES = np.array([[1.0, 1.0, 1.0], [1.05, 0.8, 0.55], [0.65, 0.85, 1.08], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85]])
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
@@ -81,27 +83,37 @@ def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
 
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
     """The section at y = plane (m) as an etched one under a microscope: boundaries of splats dark, that of the substrate thick, pores
-    black, and blue (the mount) what is open to the outside in this plane. radius m: shown."""
+    black, and blue (the mount) what is open to the outside in this plane; metals of a blend in colours. radius m: shown."""
     seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor="black")
-    skins = [skin for _, *skin in _skins(splats)]
     x, z = (np.linspace(*ends, pixels) for ends, pixels in (((left, right), 1400), ((bottom, top), 600)))
     places = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
     metal = np.zeros(len(places), bool)
-    for number, (points, faces) in enumerate(skins):
+    names = list(dict.fromkeys(splats.metal))
+    for number, (came, points, faces) in enumerate(_skins(splats)):
         tone = 0.45 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
+        colour = np.full(3, tone) if number == 0 else tone * _PHASES[names.index(splats.metal[came - 1]) % len(_PHASES)]
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
             outline = Outline.make_compound_path(*(Outline(loop, closed=True) for loop in loops))
-            axis.add_patch(PathPatch(outline, facecolor=str(tone), edgecolor="0.1", linewidth=0.8 if number else 2.0))
+            axis.add_patch(
+                PathPatch(outline, facecolor=tuple(colour), edgecolor="0.1", linewidth=0.8 if number else 2.0)
+            )
             metal |= outline.contains_points(places)
     empty, _ = ndimage.label(~metal.reshape(len(z), len(x)))
     sky = (empty > 0) & np.isin(empty, empty[-1])
     axis.imshow(np.where(sky, 1.0, np.nan), extent=seen, origin="lower", cmap=ListedColormap(["#b9cfe4"]), zorder=0)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
     scale_bar(axis, seen)
+    if len(names) > 1:
+        axis.legend(
+            [Patch(facecolor=tuple(0.82 * _PHASES[k % len(_PHASES)])) for k in range(len(names))],
+            names,
+            loc="upper right",
+            fontsize=8,
+        )
     save(figure, path)
     return path
 
@@ -131,13 +143,16 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
-    """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body and impact (0: the substrate) of each
-    tetrahedron and its fields, and splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m. Raises
-    StoreError."""
+    """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body, impact and metal of each
+    tetrahedron and its fields (0: the substrate; metals in the order of their first impacts), and splats/splat_NNN.stl, the closed
+    surface of each, numbered by impact. Lengths in m. Raises StoreError."""
     inner = folder / "splats"
     cells = splats.mesh.cells
     data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}
     data |= {"body": [splats.body.astype(np.int32)], "impact": [splats.impact[splats.body].astype(np.int32)]}
+    names = list(dict.fromkeys(splats.metal))
+    of_impact = np.array([0, *(names.index(name) + 1 for name in splats.metal)])
+    data["metal"] = [of_impact[splats.impact[splats.body]].astype(np.int32)]
     paths = [folder / "coating.vtu"]
     try:
         inner.mkdir(parents=True, exist_ok=True)

@@ -17,9 +17,21 @@ from coupler.commands.main import main
 from coupler.errors import SceneError, StoreError
 from coupler.files.fields import Fields
 from coupler.geometry import mesher
+from coupler.geometry.tetrahedra import volumes
 from coupler.report.picture import _most_cut
 from coupler.studies import coating_growth, coating_seeds
-from coupler.studies.coating import Columns, Splats, in_plane, lines, measure, over_depth, per_layer, read, roughness
+from coupler.studies.coating import (
+    Columns,
+    Splats,
+    in_plane,
+    lines,
+    measure,
+    over_depth,
+    per_layer,
+    phases,
+    read,
+    roughness,
+)
 from coupler.studies.coating_files import _seen, micrograph
 from coupler.studies.coating_growth import growth
 
@@ -126,7 +138,8 @@ def built() -> Splats:
         0.0, np.concatenate(points), np.concatenate(cells), {k: v.astype(np.float32) for k, v in data.items()}
     )
     return Splats(
-        mesh, of, np.array([0, 1, 3, 4]), None, np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, 1, 1, 1]), 4, 2, 20e-6, 2e-6
+        mesh, of, np.array([0, 1, 3, 4]), None, np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, 1, 1, 1]),
+        np.array(["Ni", "Ni", "Cu", "Ni"]), 4, 2, 20e-6, 2e-6,
     )  # fmt: skip
 
 
@@ -154,11 +167,25 @@ def test_a_body_beside_the_window_is_not_in_it(built: Splats) -> None:
     assert not at_the_end.voids(0.0)[1][at_the_end.x > 0.0].any()
 
 
+def test_shares_of_a_blend_add_up(built: Splats) -> None:
+    """One particle of copper in four of the same mass, all of which but one of nickel stay: shares of mass and volume."""
+    nickel, copper = phases(built, 1.0)
+    assert (nickel["metal"], copper["metal"]) == ("Ni", "Cu")
+    assert (nickel["fed_share"], copper["fed_share"]) == pytest.approx((0.75, 0.25))
+    assert (nickel["deposited_share"], copper["deposited_share"]) == pytest.approx((2 / 3, 1 / 3))
+    assert (nickel["efficiency"], copper["efficiency"]) == pytest.approx((2 / 3, 1.0))
+    volume = np.abs(volumes(built.mesh.points, built.mesh.cells))
+    in_copper = volume[built.body == 2].sum() / volume[built.body > 0].sum()
+    assert (nickel["volume_share"], copper["volume_share"]) == pytest.approx((1.0 - in_copper, in_copper))
+    assert "efficiency 100.0%" in dict(lines(measure(built)))["metals"]
+    assert "metals" not in dict(lines(measure(replace(built, metal=np.full(4, "Ni")))))
+
+
 def test_an_opening_makes_voids_open(built: Splats) -> None:
     below = built.mesh.points[built.mesh.cells].mean(axis=1)
     holed = ~((built.body == 3) & (np.hypot(below[:, 0] + 6e-6, below[:, 1]) < 4e-6))
     mesh = Fields(0.0, built.mesh.points, built.mesh.cells[holed], {k: v[holed] for k, v in built.mesh.data.items()})
-    one = Splats(mesh, built.body[holed], built.impact, None, built.stayed, built.mass, 4, 2, 20e-6, 2e-6)
+    one = Splats(mesh, built.body[holed], built.impact, None, built.stayed, built.mass, built.metal, 4, 2, 20e-6, 2e-6)
     opened, closed = Columns(one, (0.0, 0.0), 12e-6, 0.5e-6).voids(1e-6)
     assert closed.sum() == 0
     assert opened.sum() > 0
