@@ -116,12 +116,10 @@ def cells_of(mesh: TetMesh) -> Cells:
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets of a cylinder or box by where they lie: top (highest z), bottom (lowest z), sides (the rest)."""
-    z = points[corners][:, :, 2]
-    low, high = z.min(), z.max()
-    close = 1e-6 * (high - low)
-    top = np.all(z > high - close, axis=1)
-    bottom = np.all(z < low + close, axis=1)
+    """Facets of a cylinder or box by where they look: top (upwards), bottom (downwards), sides (the rest)."""
+    normal = area_vectors(points, corners)
+    steep = normal[:, 2] / np.linalg.norm(normal, axis=1)
+    top, bottom = steep > 0.5, steep < -0.5
     return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
 
 

@@ -14,6 +14,7 @@ from ..fe.explicit import Target
 from ..fe.mesh import prepare
 from ..geometry import mesher
 from ..geometry.apart import apart
+from ..geometry.rough import roughened
 from ..particle import shapes
 from ..particle.carried_surface import CarriedSurface
 from ..particle.engine import engine
@@ -67,6 +68,8 @@ def build_target(plan: Plan) -> Bodies:
     points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread), MESHING_LIMIT)
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
+    if t.roughness is not None:
+        points = roughened(points, t.height, t.diameter, *t.roughness)
     mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))
     if cut := t.faces("half_space"):
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
@@ -103,9 +106,8 @@ def build_domains(
     facets = bodies.reachable()
     offset = np.array([*impact_plan.offset, 0.0])
     if level is None:
-        level = (
-            level_under(body.vertices + offset, x, mesh.facets[facets]) - body.half_height if bodies.count > 1 else 0.0
-        )
+        under = 0.0 if bodies.is_flat else level_under(body.vertices + offset, x, mesh.facets[facets])
+        level = under - body.half_height if not bodies.is_flat else 0.0
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
     parallel.begin_impact(ranks, i, place, numerics or {})
     local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None

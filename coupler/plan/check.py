@@ -15,6 +15,9 @@ from . import cost as estimates
 from .derived import Derived
 
 _LEAST_WINDOW = 0.6  # particles' widths: the footprint of a splat
+STEEPEST = 0.25  # Sa over the correlation length: slope 0.63 (root mean square), steps of elements fall to 0.7
+_CELLS_OF_ROUGHNESS = 4.0  # elements in a correlation length
+_DEEPEST = 0.05  # Sa over the height of the target: below, elements keep their heights to a fifth
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
 _HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength left
@@ -110,6 +113,21 @@ def _room(d: Derived) -> Iterator[Problem]:
         if extent < least * (1 - 1e-9):
             text = f"too small for {_size(particle)} and its crater; at least {units.rounded(least, 'um')} is needed"
             yield _wrong(f"substrate.{name}", extent, "um", text, *_fields(scene, *_EXTENT))
+    if substrate.roughness > 0.0:
+        steepest, coarse = substrate.roughness / STEEPEST, _CELLS_OF_ROUGHNESS * d.element_size
+        if substrate.roughness_length < max(steepest, coarse) * (1 - 1e-9):
+            why = (
+                "steeper than meshes bear"
+                if steepest > coarse
+                else f"not resolved by elements of {units.rounded(d.element_size, 'um')}"
+            )
+            text = f"the surface is {why}: at least {units.rounded(max(steepest, coarse), 'um')}, or a lower roughness"
+            yield _wrong("substrate.roughness_length", substrate.roughness_length, "um", text, "substrate.roughness")
+        if substrate.roughness > _DEEPEST * substrate.height:
+            text = (
+                f"too rough for a target of {units.rounded(substrate.height, 'um')}: at most a twentieth of its height"
+            )
+            yield _wrong("substrate.roughness", substrate.roughness, "um", text, "substrate.height")
     widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
     least = _LEAST_WINDOW * max(widest.diameter, widest.width)
     if substrate.window is not None and substrate.window < least * (1 - 1e-9):

@@ -58,7 +58,8 @@ class ImpactPlan(Landing):
 @dataclass(frozen=True)
 class TargetPlan:
     """A cylinder. Lengths m, temperature K; element_size within refined_radius of the disc of radius `spread` about `centre` (x, y),
-    then growing by `growth` per unit of distance to largest_element. sides, bottom: "absorbing" only if that effect is on."""
+    then growing by `growth` per unit of distance to largest_element. sides, bottom: "absorbing" only if that effect is on. roughness:
+    Sa m, correlation length m and seed of the top, None where it is flat."""
 
     material: Material
     diameter: float
@@ -73,6 +74,7 @@ class TargetPlan:
     refined_radius: float
     growth: float
     elements_estimate: int
+    roughness: tuple[float, float, int] | None
 
     def faces(self, condition: Face) -> tuple[str, ...]:
         """Names of the faces with this condition."""

@@ -154,6 +154,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
     return TargetPlan(
         base, body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
         COARSEST * min(body.diameter, body.height), d.centre, d.spread, d.refined_radius, scene.resolution.growth, d.elements,
+        (body.roughness, body.roughness_length, body.roughness_seed) if body.roughness else None,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from ..files.inputs import read_json_object
 from .model import Plan
 
 FILE = "plan.json"
-FORMAT = 10
+FORMAT = 11
 
 
 def plan_text(plan: Plan) -> str:

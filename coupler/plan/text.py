@@ -34,7 +34,8 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         *([fill(plan.spray, 119, initial_indent="  spray      ", subsequent_indent=" " * 13)] if plan.spray else []),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
-        f" sides {target.sides}, bottom {target.bottom}",
+        f" sides {target.sides}, bottom {target.bottom}"
+        + (", rough: Sa {}".format(show(target.roughness[0], "um")) if target.roughness else ""),
         *_strength(plan, brief),
         f"  friction   {plan.friction:g}",
         *_splats(plan),

@@ -386,7 +386,8 @@ class Spray(Track):
 
 
 class Substrate(Section):
-    """The target, a cylinder whose top is the surface. SI units. window: radius (m) of what is computed round each impact."""
+    """The target, a cylinder whose top is the surface. SI units. window: radius (m) of what is computed round each impact. roughness:
+    Sa (m) of the surface, roughness_length (m): distance in which its correlation falls to 1/e."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
@@ -395,6 +396,9 @@ class Substrate(Section):
     sides: Face = "absorbing"
     bottom: Face = "fixed"
     window: Annotated[float | None, Quantity("um", "1 um", "10000 um")] = None
+    roughness: Annotated[float, Quantity("um", "0 um", "100 um")] = 0.0
+    roughness_length: Annotated[float, Quantity("um", "1 um", "1000 um")] = 30e-6
+    roughness_seed: StrictInt = Field(1, ge=0, le=2**31)
 
 
 class Contact(Section):

@@ -85,6 +85,12 @@ class Bodies:
         mesh = self.target.mesh
         return Surfaces.of(mesh.facets, mesh.facet_element, self.body)
 
+    @property
+    def is_flat(self) -> bool:
+        """Whether there is a substrate only, whose surface was made flat."""
+        mesh = self.target.mesh
+        return self.count == 1 and not np.ptp(mesh.points[mesh.facets[mesh.sets["top"]], 2])
+
     def reachable(self) -> np.ndarray:
         """Facets (ids) that a particle can hit: the substrate's top and sides and the splats', less what is buried between them.
 

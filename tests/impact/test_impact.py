@@ -15,8 +15,12 @@ from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.errors import SolverError, StoreError
 from coupler.geometry.points import depths
+from coupler.geometry.rough import heights
+from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
+from coupler.plan.planning import plan
 from coupler.report.picture import section_picture
+from coupler.target.positions import heights_at
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +207,21 @@ def test_whole_run_through_the_command_line(tmp_path: Path, capsys: pytest.Captu
     assert float(rows[-1]["time"]) == pytest.approx(10e-9)
     assert main(command[3:]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+def test_a_particle_starts_its_gap_above_rough_ground() -> None:
+    """Measured vertically, whatever peak or slope lies below; the surface is the plan's own."""
+    data = {
+        "particle": {"material": "Ni", "diameter": "20 um", "velocity": "500 m/s", "offset": ["7 um", "-4 um"], "gap": "1.5 um"},
+        "substrate": {"material": "SS304", "height": "80 um", "roughness": "3 um", "roughness_length": "20 um"},
+        "resolution": {"spacing": "2.5 um"},
+    }  # fmt: skip
+    made = plan(Scene.from_dict(data))
+    domains = build_domains(made)
+    vertices, mesh = domains.surface.positions(domains.particle.x), domains.target.mesh
+    below = heights_at(vertices[:, :2], domains.target.nodes.x, mesh.facets[mesh.sets["top"]])
+    assert float((vertices[:, 2] - below).min()) == pytest.approx(1.5e-6, abs=1e-9)
+    under = heights(np.array([[7e-6, -4e-6]]), made.target.diameter, 3e-6, 20e-6, 1)[0]
+    assert domains.bodies.is_flat is False
+    assert abs(domains.level - under) < 6e-6
+    domains.particle.close()

@@ -1,0 +1,39 @@
+"""Rough ground: a random field of heights of given mean deviation and correlation length, and a mesh whose top follows it."""
+
+import math
+import random
+from statistics import NormalDist
+
+import numpy as np
+
+from ..core.arrays import Floats
+
+WAVES = 256  # of the field: its heights are normal to 1 % of their standard deviation
+SAMPLES = 64  # across the disc on which mean and Sa are set
+
+
+def heights(at: Floats, diameter: float, Sa: float, length: float, seed: int) -> Floats:
+    """Heights (k,) m at places (k,2) m of a disc about the axis: mean 0, mean deviation Sa m over the disc of `diameter` m.
+
+    A normal field of WAVES plane waves whose autocorrelation falls as exp(-(distance / length)^2) (Garcia & Stoll 1984,
+    Phys. Rev. Lett. 52, 1798). The seed gives the same field on every mesh and machine.
+    """
+    dice, normal = random.Random(seed), NormalDist(0.0, math.sqrt(2.0) / length)
+    wave = np.array([[normal.inv_cdf(dice.random() or 0.5) for _ in range(2)] for _ in range(WAVES)])
+    phase = np.array([2.0 * math.pi * dice.random() for _ in range(WAVES)])
+
+    def field(places: Floats) -> Floats:
+        return np.cos(places @ wave.T + phase).sum(axis=1)
+
+    axis = (np.arange(SAMPLES) + 0.5) / SAMPLES * diameter - 0.5 * diameter
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    disc = field(grid[np.hypot(*grid.T) <= 0.5 * diameter])
+    return (field(at) - disc.mean()) * (Sa / np.abs(disc - disc.mean()).mean())
+
+
+def roughened(points: Floats, height: float, diameter: float, Sa: float, length: float, seed: int) -> Floats:
+    """Points (n,3) m of a cylinder between z = -height and 0 with `heights` on its top; what lies below moves with it, ever less down
+    to the bottom, which stays."""
+    moved = points.copy()
+    moved[:, 2] += heights(points[:, :2], diameter, Sa, length, seed) * (1.0 + points[:, 2] / height)
+    return moved
