@@ -22,13 +22,15 @@ _OVERDUE = 0.1  # of the time that an impact has taken: at least so much is left
 class Progress:
     """Shows the stage of a command; of an impact simulated time, kinetic energy left, dt and time to go.
 
-    An update costs little and may come at every step. stream: where it goes, standard error by default. quiet: show nothing.
+    An update costs little and may come at every step. stream: where it goes, standard error by default, in a
+    notebook standard output. quiet: show nothing.
     `time` is the simulated time reached, over all impacts, s; nan before the first update. `compiling`: wall time that went into
     the compilation of kernels, s, which time to go leaves out. `record` takes every line too: a run sets it to its log file.
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
-        self.stream = stream if stream is not None else sys.stderr
+        in_notebook = type(sys.stderr).__module__.startswith("ipykernel")  # it shows standard error as a fault, in red
+        self.stream = stream if stream is not None else sys.stdout if in_notebook else sys.stderr
         self.quiet = quiet or self.stream is None  # a program without a terminal has no standard error
         self.time, self.compiling = float("nan"), 0.0
         self.record: Callable[[str], None] = lambda text: None

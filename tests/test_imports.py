@@ -128,6 +128,12 @@ def test_imports_stand_at_the_top(path: Path) -> None:
     assert not inner
 
 
+def test_imports_by_name_are_few() -> None:
+    """The table does not see them: what the two `__init__` import at first use, and what draws a result for a notebook."""
+    found = {str(path.relative_to(ROOT)) for path in FILES if "import_module(" in path.read_text()}
+    assert found == {"__init__.py", "report/__init__.py", "files/result.py"}
+
+
 def test_the_table_has_no_arrow_that_nothing_uses() -> None:
     used: dict[str, set[str]] = {package: set() for package in ALLOWED}
     for path in FILES:

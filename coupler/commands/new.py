@@ -21,13 +21,25 @@ KINDS = {
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
 }
+EXAMPLES = {  # of workflows/; a wheel has them inside the package (pyproject.toml)
+    "single_ni": "a 25 um nickel particle on stainless steel at 500 m/s",
+    "double_ni_ti": "a titanium particle onto the splat of a nickel one",
+    "triple_ni": "three nickel particles of different sizes, one onto another",
+    "morphology": "three nickel particles that are no spheres, one onto another",
+    "coating_ni": "a coating of 40 nickel particles on steel, with a gas and a nozzle",
+    "critical_al": "critical velocity of 22 um aluminium on aluminium, by computed bonds",
+    "critical_cu": "critical velocity of 14 um copper on copper, by computed bonds",
+    "critical_ni": "critical velocity of 10 um nickel on nickel, by computed bonds",
+    "map_ni": "a sweep of nickel on steel over size and velocity",
+}
 
 
 def add(commands: Commands) -> None:
     """Add the commands to a parser's subcommands."""
     option = add_command(commands, "new", new, "write a commented scene that runs")
-    option("kind", choices=tuple(KINDS), help="; ".join(f"{kind}: {text}" for kind, text in KINDS.items()))
-    option("name", type=path, metavar="NAME", help="of the file, without or with its ending")
+    option("kind", nargs="?", choices=(*KINDS, *EXAMPLES), metavar="KIND", help=f"{', '.join(KINDS)}, or an example")
+    option("name", nargs="?", type=path, metavar="NAME", help="of the file, without or with its ending")
+    option("--list", action="store_true", help="print the kinds and the examples, a line each")
     option("--force", action="store_true", help="replace a file of this name")
     add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
     option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
@@ -43,6 +55,11 @@ def new(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_file, write_text
 
     kind, name = arguments.kind, arguments.name
+    if arguments.list:
+        print("\n".join(f"{each:14} {text}" for each, text in (KINDS | EXAMPLES).items()))
+        return 0
+    if name is None:
+        raise ColdsprayError("new: give a kind or an example, and a name; coldspray new --list shows them")
     suffix = ".csv" if kind == "mesh" else ".toml"
     out: Path = name if name.suffix == suffix else name.with_name(f"{name.name}{suffix}")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", out.stem):
@@ -52,10 +69,12 @@ def new(arguments: argparse.Namespace) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     if kind == "mesh":
         text = _points(out.stem)
+    elif kind in EXAMPLES:
+        text = _example(kind).replace(f"workflows/{kind}.toml", str(out))
     else:
         text = (files(__package__) / "templates" / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", out.stem)
     write_text(out, text)
-    print(f"{KINDS[kind]} in {out}; its first lines say how to go on")
+    print(f"{(KINDS | EXAMPLES)[kind]} in {out}{'; its first lines say how to go on' if kind in KINDS else ''}")
     if text.startswith("#:schema"):
         write_text(claim_file(out.parent / SCHEMA, (".json",), force=arguments.force), _schema())
         print(f"{SCHEMA} beside it, for editors that check TOML")
@@ -99,6 +118,14 @@ def _schema(of: str = "scene") -> str:
 
     schema = json_schema.job_schema() if of == "job" else json_schema.scene_schema()
     return json.dumps(schema | {"description": MARK}, indent=1, ensure_ascii=False) + "\n"
+
+
+def _example(name: str) -> str:
+    """The text of an example: in the package of a wheel, else beside the package of a checkout."""
+    from ..files.inputs import SCENE_LIMIT, read_text
+
+    inside, beside = (folder / "workflows" / f"{name}.toml" for folder in Path(__file__).parents[1:3])
+    return read_text(inside if inside.is_file() else beside, SCENE_LIMIT)
 
 
 def _points(name: str) -> str:

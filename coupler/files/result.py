@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -51,6 +52,11 @@ class Result:
 
     def __repr__(self) -> str:
         return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
+
+    def _repr_html_(self) -> str:
+        """Verdict, measures and section, as a notebook shows them. `report`, which draws them, reads results: it is imported here."""
+        html: str = import_module("coupler.report.notebook").html(self)
+        return html
 
     @property
     def finished(self) -> bool:

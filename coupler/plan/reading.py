@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import cast
 
@@ -40,6 +41,26 @@ class Scene(SceneData):
         """The text that it was read from, "" where there is none."""
         return ""
 
+    @cached_property
+    def given(self) -> tuple[Mapping[str, object], str]:
+        """The nested dicts that it was read from, and their source, as of `from_dict`."""
+        return parse_toml(self.to_toml()), self.name
+
+    def with_(self, **changes: object) -> "Scene":
+        """A new scene with some keys changed: `scene.with_(particle={"velocity": "600 m/s"}, preset="fine")`.
+
+        Values are as in a file. A table changes the keys that it names, in each of several particles; None removes a key. A list of as
+        many tables as there are particles changes each by its own, {} none of it; any other list replaces the scene's. Raises
+        SceneError with every problem.
+        """
+        data, source = self.given
+        return Scene.from_dict(cast(Mapping[str, object], _merged(data, changes)), source)
+
+    def _repr_html_(self) -> str:
+        """Its text, as a notebook shows it."""
+        text = escape(self.text or self.to_toml())
+        return f'<pre style="white-space: pre; overflow: auto; max-height: 30em">{text}</pre>'
+
     @classmethod
     def load(cls, path: str | Path, settings: Settings = ()) -> "Scene":
         """Read a scene file. Raises SceneError with every problem of it. settings: keys in place of the file's, as `--set` has them."""
@@ -72,7 +93,9 @@ class Scene(SceneData):
         """Check a scene given as nested dicts, as TOML has them. Raises SceneError with every problem."""
         if "scene" in data and not {"particle", "coating"} & data.keys() and {"points", "ensemble"} & data.keys():
             raise SceneError([f"is the file of a sweep: run coldspray sweep {source}"], source)
-        return _checked(data, source)
+        scene = _checked(data, source)
+        vars(scene)["given"] = copy.deepcopy(dict(data)), source
+        return scene
 
     def to_toml(self) -> str:
         """The scene with its defaults written out, and with the comments of its file. Reading it gives an equal scene."""
@@ -82,6 +105,20 @@ class Scene(SceneData):
             return text if Scene.from_text(text, self.name) == self else full
         except (TOMLKitError, SceneError, ValueError):  # a way to write TOML that cannot be added to
             return full
+
+
+def _merged(old: object, new: object) -> object:
+    """A value of a scene with changes, as `Scene.with_` describes them; both are left as they are."""
+    if isinstance(old, list) and isinstance(new, Mapping):
+        return [_merged(each, new) for each in old]
+    tables = old if isinstance(old, list) else [old]
+    if isinstance(new, list) and len(new) == len(tables) and all(isinstance(each, Mapping) for each in new):
+        return [_merged(before, each) for before, each in zip(tables, new, strict=True)]
+    if not isinstance(new, Mapping):
+        return new
+    kept = dict(old) if isinstance(old, Mapping) else {}
+    kept |= {key: _merged(kept.get(key), value) for key, value in new.items()}
+    return {key: value for key, value in kept.items() if value is not None}
 
 
 def _checked(data: Mapping[str, object], source: str) -> Scene:

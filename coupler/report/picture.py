@@ -363,11 +363,16 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
     `section.png` in the run's folder unless given. step: stored step, -1 is the last. Returns the path. Raises StoreError if something
     to draw is missing or the picture cannot be written."""
     path = Path(path) if path is not None else result.directory / "section.png"
+    save(section_figure(result, step), path)
+    return path
+
+
+def section_figure(result: Result, step: int = -1) -> Figure:
+    """The figure of `section_picture`. Raises StoreError if something to draw is missing."""
     at, names = stage(result), ("T", "eps_p")
     read(result, step, names)
     section = cut(result, step, names, at, view(result, [step], at))
-    save(panels(section, {name: colour_range([section], name) for name in names}, title(result)), path)
-    return path
+    return panels(section, {name: colour_range([section], name) for name in names}, title(result))
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -225,6 +225,17 @@ def test_the_results_go_where_they_are_told(run_that, tmp_path):
     assert seen == [Path("runs/single_ni"), tmp_path]
 
 
+def test_progress_in_a_notebook_is_on_standard_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jupyter draws standard error as a fault, in red."""
+    stream = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
+    assert Progress().stream is sys.stderr
+    monkeypatch.setattr("sys.stdout", stream())
+    monkeypatch.setattr("sys.stderr", stream())
+    with Progress() as progress:
+        progress.log("[contact] made")
+    assert (sys.stdout.getvalue(), sys.stderr.getvalue()) == ("[contact] made\n", "")
+
+
 def test_progress_without_a_terminal_is_a_line_now_and_then():
     stream = io.StringIO()
     progress = Progress(stream=stream)

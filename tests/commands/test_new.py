@@ -67,6 +67,30 @@ def test_a_new_map_is_a_sweep_with_values_enough_for_a_surface(tmp_path: Path, m
     assert not sweep.refused
 
 
+def test_the_list_has_a_line_for_each_kind_and_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [*new.KINDS, *new.EXAMPLES]
+    assert main(["new", "single"]) == main(["new"]) == 2
+    assert "coldspray new --list" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", new.EXAMPLES)
+def test_an_example_is_written_under_a_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", name, "mine"]) == 0
+    assert "workflows/" not in Path("mine.toml").read_text()
+    reader = Sweep if name == "map_ni" else Scene
+    assert reader.load("mine.toml")
+    assert Path("scene.schema.json").is_file() == (reader is Scene)
+
+
+def test_a_wheel_has_the_examples() -> None:
+    pyproject = tomllib.loads((WORKFLOWS.parent / "pyproject.toml").read_text())
+    included = pyproject["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    scenes = {f"workflows/{name}.toml": f"coupler/workflows/{name}.toml" for name in new.EXAMPLES}
+    assert included == {"lammps_inputs": "coupler/lammps_inputs"} | scenes
+
+
 def test_new_points_become_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", "mesh", "lens"]) == 0

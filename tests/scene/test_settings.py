@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from coupler.commands.main import main
+from coupler.errors import SceneError
 from coupler.plan.reading import Scene
 
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
@@ -122,3 +123,48 @@ def test_check_fits_on_one_screen(capsys: pytest.CaptureFixture[str], path: Path
     assert set(line for line in brief if "effects  " not in line and "..." not in line) <= set(
         capsys.readouterr().out.splitlines()
     )
+
+
+def test_a_scene_with_changes_is_another_scene() -> None:
+    """All else is as in the file; what follows from the changed keys follows anew."""
+    scene = Scene.load(SINGLE)
+    fast = scene.with_(particle={"velocity": "600 m/s"}, contact={"friction": 0.25})
+    assert (scene.particle.velocity, fast.particle.velocity) == (500.0, 600.0)
+    assert fast == Scene.load(SINGLE, [("particle.velocity", "600 m/s"), ("contact.friction", "0.25")])
+    assert fast.with_(particle={"velocity": "500 m/s"}, contact={"friction": 0.5}) == scene
+    assert scene.with_(particle={"temperature": None}).particle.temperature == 300.0
+    coating = Scene.load(WORKFLOWS / "coating_ni.toml").with_(coating={"number": 6, "layers": 2})
+    assert len(coating.particles) == 6
+
+
+def test_changes_of_several_particles() -> None:
+    scene = Scene.load(TRIPLE)
+    first, _, last = scene.particles
+    assert {p.velocity for p in scene.with_(particle={"velocity": "600 m/s"}).particles} == {600.0}
+    changed = scene.with_(particle=[{}, {"material": "Ti"}, {}]).particles
+    assert (changed[0], changed[1].material, changed[2]) == (first, "Ti", last)
+    alone = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}
+    assert len(scene.with_(particle=[alone] * 2).particles) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"particle": {"velocity": "600"}}, 'particle.velocity = "600" has no unit'),
+        ({"particle": {"velocty": "600 m/s"}}, 'particle.velocty: unknown key (did you mean "velocity"?)'),
+        ({"partcle": {}}, 'partcle: unknown key (did you mean "particle"?)'),
+        ({"particle": 5}, "particle = 5: expected a table [particle]"),
+        ({"substrate": None}, "substrate: missing"),
+    ],
+)
+def test_wrong_changes_are_named_as_in_a_file(changes: dict[str, object], says: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        Scene.load(SINGLE).with_(**changes)
+    (problem,) = caught.value.problems
+    assert problem.startswith(says)
+
+
+def test_a_notebook_shows_the_text_of_a_scene() -> None:
+    assert "A 25 um nickel particle" in Scene.load(SINGLE)._repr_html_()
+    made = Scene.load(SINGLE).with_(name="a-b", particle={"velocity": "600 m/s"})._repr_html_()
+    assert "velocity = &quot;600 m/s&quot;" in made

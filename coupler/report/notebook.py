@@ -1,0 +1,42 @@
+"""A result as a notebook shows it: verdict and measures as on the first screen after a run, and the section."""
+
+import base64
+import io
+from html import escape
+
+from ..files.inputs import reading
+from ..files.result import Result
+from .picture import section_figure
+from .screen import screen
+from .words import title
+
+_DPI = 72  # a picture of about 100 kB
+
+
+def html(result: Result) -> str:
+    """HTML of a result. Raises no Exception: what is missing or damaged is named in its place."""
+    parts = []
+    for name, part in (("measures", _measures), ("section", _section)):
+        try:
+            with reading(result.directory):
+                parts.append(part(result))
+        except Exception as problem:  # a notebook would show a traceback instead of the result
+            parts.append(f"<p>no {name}: {escape(str(problem))}</p>")
+    return "\n".join(parts)
+
+
+def _measures(result: Result) -> str:
+    text = screen(result) if result.finished else f"{title(result)}\n{_reached(result)}"
+    return f'<pre style="white-space: pre; overflow-x: auto">{escape(text)}</pre>'
+
+
+def _reached(result: Result) -> str:
+    times = result.times()
+    reached = f"not finished: {len(times)} steps are stored, until {times.max(initial=0.0) * 1e9:.1f} ns"
+    return f"{reached}; if it was stopped, coldspray resume {result.directory.name} continues it"
+
+
+def _section(result: Result) -> str:
+    picture = io.BytesIO()
+    section_figure(result).savefig(picture, format="png", dpi=_DPI)
+    return f'<img alt="section" src="data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}">'
