@@ -11,9 +11,9 @@
 # make validate  the paper's cases and trends into docs/evidence/validation.md (an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build
-# make gallery  the pages of docs/gallery with what they print and draw, computed again (10 minutes of processor time)
+# make gallery  the pages and notebooks of docs/gallery with what they print and draw, computed again (12 minutes of processor time)
 # make fuzz-files  damaged files of every kind: each command ends with a result or one message; N=2000 SEED=1 say how many and which
-# make setup  system libraries and .venv for runs; test-setup: for tests too; the targets do it themselves when it is needed
+# make setup  system libraries and .venv for runs; libraries: these alone; test-setup: for tests too; the targets do it themselves when it is needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
@@ -27,7 +27,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # Tests and documents also need a browser that opens the report:
 TEST_LIBRARIES := chromium
 
-.PHONY: setup test-setup test-libraries run check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
+.PHONY: setup test-setup libraries test-libraries run check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
@@ -82,6 +82,9 @@ $(TEST_STAMP): $(STAMP)
 	@[ $$(id -u) -ne 0 ] || { $(MAKE) --no-print-directory test-libraries; }
 	$(SYNC)
 	@touch $@
+
+libraries:
+	$(call install,$(LIBRARIES))
 
 test-libraries:
 	$(call install,$(TEST_LIBRARIES))
@@ -144,7 +147,7 @@ maps: test-setup
 	cp runs/map_ni/map_Ni_T_p99_K.png docs/evidence/map_ni_T_p99_K.png
 	$(VENV)/bin/python workflows/map_page.py
 
-gallery: setup
+gallery: test-setup
 	$(VENV)/bin/python workflows/gallery.py
 
 docs: test-setup

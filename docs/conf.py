@@ -10,8 +10,10 @@ from importlib.metadata import version as installed
 
 project = "coldspray"
 version = release = installed("coldspray")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
 exclude_patterns = ["_build"]
+nb_execution_mode = "off"  # workflows/gallery.py runs the notebooks
+nb_mime_priority_overrides = [("dummy", "text/html", 0), ("dummy", "image/png", 1)]  # the builder of tests/test_docs.py
 suppress_warnings = ["myst.header"]  # tables written by workflows/ may stand two heading levels down
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]

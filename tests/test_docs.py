@@ -99,10 +99,11 @@ def test_every_file_that_a_page_names_is_there() -> None:
 
 def test_every_page_is_in_a_list_of_pages() -> None:
     listed = {DOCS / "index.md"}
+    pages = {*DOCS.rglob("*.md"), *DOCS.rglob("*.ipynb")}
     for page in DOCS.rglob("*.md"):
         for names in re.findall(r"^```{toctree}\n(?::[^\n]*\n)*(.*?)^```$", page.read_text(), re.M | re.S):
-            listed |= {page.parent / f"{name}.md" for name in names.split()}
-    assert listed == set(DOCS.rglob("*.md"))
+            listed |= {page.parent / name for name in names.split()}
+    assert {page.with_suffix("") for page in pages} == {page.with_suffix("") for page in listed}
 
 
 @pytest.mark.slow

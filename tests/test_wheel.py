@@ -45,6 +45,7 @@ def test_the_wheel_runs_the_main_job_without_the_repository(tmp_path: Path) -> N
     assert run(place, python, "-c", "import coupler; print(coupler.__file__)").startswith(str(tmp_path))
     assert run(place, coldspray, "--version").strip() == f"coldspray {__version__}"
     run(place, coldspray, "new", "single", "first")
+    run(place, coldspray, "new", "coating_ni", "example")
     run(place, coldspray, "run", "first.toml", "--preset", "draft", "--set", "end.at=", "--set", "end.time=10 ns")
     summary = json.loads((place / "runs" / "first" / "summary.json").read_text())
     assert summary["version"] == __version__

@@ -1,8 +1,10 @@
-"""Runs the pages of docs/gallery as they are written, and keeps what they print and draw: python workflows/gallery.py [PAGE ...]
+"""Runs the pages and notebooks of docs/gallery as they are written, and keeps what they print and draw:
+python workflows/gallery.py [PAGE ...]
 
 The blocks of a page run in order in a folder of their own: a TOML block is a file, its name in the first line; a Python block and a
 console block print into a block of text behind them. Pictures that the page shows are kept beside it, in 256 colours, and its last
-line says how long all of it took. A page takes from 10 s to some minutes of processor time.
+line says how long all of it took. A notebook runs in a folder of its own, too, and holds its outputs itself. Each takes from 10 s to
+some minutes of processor time.
 """
 
 import contextlib
@@ -17,6 +19,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import nbformat
+from nbclient import NotebookClient
 from PIL import Image
 
 from coupler import __version__
@@ -69,7 +73,22 @@ def run_page(page: Path) -> None:
     page.write_text(f"{text}\n*{took}; remade by* `python workflows/gallery.py {page.stem}`\n", encoding="utf-8")
 
 
+def run_notebook(path: Path) -> None:
+    """Run a notebook and write it with its outputs; of what has a form in HTML, that alone: the others name folders."""
+    book = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as place:
+        NotebookClient(
+            book, timeout=600, record_timing=False, coalesce_streams=True, resources={"metadata": {"path": place}}
+        ).execute()
+    for output in (output for cell in book.cells for output in cell.get("outputs", ())):
+        if {"text/html", "image/png"} & (data := output.get("data", {})).keys():
+            data.pop("text/plain", None)
+    book.metadata.language_info = {"name": "python"}
+    nbformat.write(book, path)
+
+
 if __name__ == "__main__":
-    for stem in sys.argv[1:] or sorted(path.stem for path in GALLERY.glob("*.md") if path.stem != "index"):
+    files = {path.stem: path for kind in ("md", "ipynb") for path in GALLERY.glob(f"*.{kind}") if path.stem != "index"}
+    for stem in sys.argv[1:] or sorted(files):
         print(stem, flush=True)
-        run_page(GALLERY / f"{stem}.md")
+        (run_page if files[stem].suffix == ".md" else run_notebook)(files[stem])

@@ -27,7 +27,7 @@ def html(result: Result) -> str:
 
 def _measures(result: Result) -> str:
     text = screen(result) if result.finished else f"{title(result)}\n{_reached(result)}"
-    return f'<pre style="white-space: pre; overflow-x: auto">{escape(text)}</pre>'
+    return f'<pre style="white-space: pre-wrap">{escape(text)}</pre>'
 
 
 def _reached(result: Result) -> str:

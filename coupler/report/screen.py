@@ -33,9 +33,9 @@ def screen(result: Result, verbose: bool = False) -> str:
     stream = io.StringIO()
     width = shutil.get_terminal_size((_WIDTH, 30)).columns
     if verbose and len(summary["impacts"]) <= _MOST_COLUMNS:  # side by side
-        Console(file=stream, width=width, force_jupyter=False).print(summary_table(result))
+        Console(file=stream, width=width, force_jupyter=False, force_terminal=False).print(summary_table(result))
     else:
-        console = Console(file=stream, width=width, highlight=False, force_jupyter=False)
+        console = Console(file=stream, width=width, highlight=False, force_jupyter=False, force_terminal=False)
         console.print(Text(title(result)), _brief(result, verbose), Text(of_run(summary)), sep="\n")
     return "\n".join([*head, *(line.rstrip() for line in stream.getvalue().strip().splitlines()), *tail])
 

@@ -20,7 +20,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("runs") / "ni", points=2000, edge=6.0, summary=summary(verdict="sticks"))
 
 
-def test_a_finished_run_shows_verdict_measures_with_units_and_its_section(folder: Path) -> None:
+def test_a_finished_run_shows_verdict_measures_with_units_and_its_section(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # Jupyter sets it, and a table had escape sequences
     html = Result(folder)._repr_html_()
     for text in (
         "verdict: sticks",
@@ -29,6 +32,7 @@ def test_a_finished_run_shows_verdict_measures_with_units_and_its_section(folder
         r"crater depth.* 5\.02 +µm",
     ):
         assert re.search(text, html), text
+    assert "\x1b" not in html
     (data,) = re.findall('src="data:image/png;base64,([^"]*)"', html)
     picture = np.asarray(Image.open(BytesIO(base64.b64decode(data))).convert("RGB")).astype(float)
     assert (picture[..., 0] - picture[..., 2] > 60).mean() > 0.02, "the upper half is coloured by temperature"
