@@ -3,7 +3,6 @@
 Each is computed by the command, coarse and for a short time, in a forked process. Allowed ends: a result (exit code 0; 4:
 not at rest in its time, which it says) in which `verify.check` finds no fault, or one message (2: the scene is refused, 3: the solver
 gives up), within the time. All else (a fault, a traceback, a signal, no end) is printed and kept in DIR, and the exit code is then 1.
-DIR/table.csv has a row for each seed; its seeds are not computed again.
 """
 
 import argparse
@@ -13,12 +12,14 @@ import math
 import os
 import random
 import resource
+import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,11 @@ import verify
 from coupler import Result, report
 from coupler.commands.main import main as coldspray
 from coupler.errors import StoreError
-from coupler.studies.table import StudyTable
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
 PATIENCE = 600  # s of wall time
 ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
-COLUMNS = ("seed", "end", "seconds", "message")
-Played = tuple[int | None, str, list[str], float]  # exit code (None: no end), what was said, faults of the result, s
 
 
 def log_between(dice: random.Random, low: float, high: float) -> float:
@@ -129,15 +127,15 @@ def toml(said: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def verdict(code: int | None, said: str, faults: list[str]) -> str:
-    """What is wrong with an end; nothing if it is allowed."""
+def verdict(code: int | None, said: str, faults: Sequence[str] = ()) -> str:
+    """What is wrong with an end; nothing if it is allowed. code: None for no end; said: by the command; faults: of its result."""
     if code is None:
-        return f"no end in {PATIENCE} s"
+        return "no end in time"
     if code not in ENDS:
         return f"exit code {code}"
     if "Traceback" in said:
         return "a traceback"
-    messages = [line for line in said.splitlines() if line.startswith("coldspray: ")]
+    messages = [line for line in said.splitlines() if line.startswith(("coldspray: ", "usage: "))]
     if code in (2, 3) and len(messages) != 1:
         return f"exit code {code} with {len(messages)} messages"
     return f"silently wrong: {'; '.join(faults)}" if faults else ""
@@ -183,54 +181,52 @@ def _run(command: list[str], log: Path, patience: int, memory: int) -> None:
         os._exit(code)
 
 
-def played(seed: int, folder: Path) -> Played:
-    """Compute the scene of a seed, and check its result."""
-    path, out, log = folder / "scene.toml", folder / "out", folder / "said.txt"
+def played(seed: int, folder: Path) -> tuple[str, str]:
+    """Compute the scene of a seed, and check its result. Returns how it ended, and what is wrong with that."""
+    path, out, log = folder / "scene.toml", folder.with_name("out"), folder / "log"
     path.write_text(toml(scene(seed)))
-    code, seconds = ended(["run", str(path), "--out", str(out), "--quiet", "--threads", "1"], log, PATIENCE)
+    code, _ = ended(["run", str(path), "--out", str(out), "--quiet", "--threads", "1"], log, PATIENCE)
     faults: list[str] = []
     if code in (0, 4):
         try:
             faults = verify.check(Result(out)).faults
         except StoreError as problem:
             faults = [str(problem)]
-    return code, log.read_text(errors="replace"), faults, seconds
+    return ENDS.get(code or 0, ""), verdict(code, log.read_text(errors="replace"), faults)
 
 
-def main() -> int:
-    """Try the scenes. Returns 1 if one came to an end that is not allowed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--n", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1, help="of the first scene; those after it count on")
-    parser.add_argument(
-        "--keep", type=Path, default=Path("runs/fuzz"), help="for the table and the scenes with a bad end"
-    )
-    parser.add_argument("--again", action="store_true", help="compute bad ends of the table again")
-    a = parser.parse_args()
+def tried(
+    about: str, play: Callable[[int, Path], tuple[str, str]], n: int, keep: str, argv: Sequence[str] | None
+) -> int:
+    """Play n seeds and print how they end. Returns 1 if one came to an end that is not allowed.
+
+    play(seed, folder): how a seed ends, and what is wrong with that, "" for nothing; what lies in the folder, which is within one of
+    the seed's own, is then kept in keep/SEED.
+    """
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=n)
+    parser.add_argument("--seed", type=int, default=1, help="the first one; those after it count on")
+    parser.add_argument("--keep", type=Path, default=Path(keep))
+    a = parser.parse_args(argv)
+    ends: Counter[str] = Counter()
+    for seed in range(a.seed, a.seed + a.n):
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as place:
+            folder = Path(place) / "kept"
+            folder.mkdir()
+            how, wrong = play(seed, folder)
+            if wrong:
+                shutil.copytree(folder, a.keep / str(seed), dirs_exist_ok=True)
+        ends["BAD" if wrong else how] += 1
+        print(seed, how, *([f"BAD: {wrong}; see {a.keep / str(seed)}"] if wrong else []), flush=True)
+    print("; ".join(f"{count} {end}" for end, count in sorted(ends.items())))
+    return int("BAD" in ends)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Try the scenes."""
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     report.section_picture = lambda result: None  # it costs as much as the run
-    table = StudyTable(a.keep / "table.csv", COLUMNS, ("seed",), "random scenes: workflows/fuzz.py")
-    done = {row["seed"] for row in table.rows if not (a.again and row["end"] == "BAD")}
-    seeds = range(a.seed, a.seed + a.n)
-    for seed in (seed for seed in seeds if str(seed) not in done):
-        with tempfile.TemporaryDirectory() as folder:
-            record(table, seed, played(seed, Path(folder)), a.keep)
-    chosen = [row for row in table.rows if int(row["seed"]) in seeds]
-    print("; ".join(f"{count} {end}" for end, count in sorted(Counter(row["end"] for row in chosen).items())))
-    return int(any(row["end"] == "BAD" for row in chosen))
-
-
-def record(table: StudyTable, seed: int, end: Played, keep: Path) -> None:
-    """Put the end of a seed's scene into the table; keep the scene if the end is bad."""
-    code, said, faults, seconds = end
-    wrong = verdict(code, said, faults)
-    last = said.strip().splitlines()[-1:] if code else []
-    row = {"seed": seed, "end": "BAD" if wrong else ENDS[code or 0], "seconds": f"{seconds:.0f}"}
-    new = table.add(row | {"message": wrong or " ".join(last)})
-    if wrong:
-        (keep / f"seed{seed}.toml").write_text(toml(scene(seed)))
-        (keep / f"seed{seed}.txt").write_text(said)
-    print(*new.values(), flush=True)
+    return tried(__doc__, played, 100, "runs/fuzz", argv)
 
 
 if __name__ == "__main__":

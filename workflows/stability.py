@@ -1,34 +1,25 @@
-"""Hard scenes, one after another: python workflows/stability.py [--only TEXT] [--docs]
+"""Hard scenes, one after another: python workflows/stability.py [--docs] [--only TEXT: scenes with it in their names, computed again]
 
 Coarse (300 to 600 points), so that all of them take minutes. Rows in the table are not computed again, but for those that fail, so
 that the battery goes on where it was stopped. The judge of each result is `verify.check`, independent of the program's own.
 """
 
-import argparse
 import tempfile
 import time as clock
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import verify
-from pages import EVIDENCE, column, markdown, study_table, versions, write_parts
+from pages import EVIDENCE, column, markdown, options, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
-from coupler.deposition.joining import cloud_of
-from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError, SceneError
-from coupler.fe.explicit import Target
-from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_chunk
-from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.report.picture import blank, save
-from coupler.splat.convert import convert
 from coupler.studies.table import Row
-from coupler.target.domain import BodyState, domain_of
 
 POINTS = 400
 ALIAS = {"Cu": "OFHC_Cu"}
@@ -222,11 +213,10 @@ def play(said: Table, folder: Path) -> Judged:
     return judged(result)
 
 
-def judged(result: Result, more: Sequence[str] = ()) -> Judged:
-    """Verdict, row and reasons of a finished run. more: faults beside those of `verify.check`."""
+def judged(result: Result) -> Judged:
+    """Verdict, row and reasons of a finished run."""
     found = verify.check(result)
-    faults = [*more, *found.faults]
-    verdict = "fails" if faults else "undecided" if found.undecided else "warned" if found.warned else "passes"
+    verdict = "fails" if found.faults else "undecided" if found.undecided else "warned" if found.warned else "passes"
     summary, figures = result.summary, found.figures
     impacts, history = summary["impacts"], result.history()
     flattening = verify.value(impacts[-1], "flattening_ratio")
@@ -240,119 +230,15 @@ def judged(result: Result, more: Sequence[str] = ()) -> Judged:
         **{name: f"{figures[key]:.2f}" for name, key in named.items() if key in figures},
         **({"momentum": f"{figures['momentum']:.0e}"} if "momentum" in figures else {}),
     }  # fmt: skip
-    reasons = faults or [*filter(None, [found.undecided]), *found.warned]
+    reasons = found.faults or [*filter(None, [found.undecided]), *found.warned]
     return verdict, row, [*reasons, *dict.fromkeys(f"rescued: {retry['reason']}" for retry in retries)]
-
-
-def restarted(folder: Path) -> Judged:
-    """1000 m/s at 45 degrees, broken off and resumed from a checkpoint in the middle: the same end to 1e-9."""
-
-    class Enough(Exception):
-        pass
-
-    def probe(impact: Impact) -> None:
-        if impact.time > 9e-9:
-            raise Enough
-
-    checked, quiet = Scene.from_dict(scene(particle(velocity=1000, angle=45)), "hard"), Progress(quiet=True)
-    whole = run(checked, folder / "whole", progress=quiet, threads=1)
-    again = whole
-    try:
-        run(checked, folder / "run", progress=quiet, threads=1, probe=probe, checkpoint_every=0.0)
-    except Enough:
-        again = resume(folder / "run", progress=quiet, threads=1)
-    faults = [] if again is not whole else ["was not broken off"]
-    for name in ("flattening_ratio", "steps", "eps_p_mean", "T_max_K", "crater_depth_m", "energy_drift"):
-        ours, theirs = getattr(again, name), getattr(whole, name)
-        if not np.isclose(ours, theirs, rtol=1e-9, atol=1e-12):
-            faults.append(f"{name} {ours} after the restart, {theirs} without")
-    return judged(again, faults)
-
-
-TURN = 1e-6  # s: at the rim 105 m/s, rho v^2 a quarter of the yield stress; in 0.1 us the same splat flies apart
-
-
-def flying(folder: Path) -> Judged:
-    """A splat as finite elements, alone, 500 m/s and one turn: no plastic strain at all, and energy, momentum and shape as before.
-
-    Its own turning strains it by about rho v_rim^2 / E; that stays elastic as long as rho v_rim^2 is below the yield stress.
-    """
-    planned = plan(Scene.from_dict(scene(particle()), "hard"))
-    domains = build_domains(planned)
-    impact = Impact(domains)
-    while impact.time < 45e-9:
-        advance_chunk(impact)
-    body = convert(cloud_of(domains), planned.splat_element_size, planned.splat_method).bodies[0]
-    domains.particle.close()
-    m, n = len(body.tets), len(body.points)
-    # free of stress: what is left to see is what the motion itself does
-    state = BodyState(
-        body.points, body.tets, np.zeros((m, 6)), np.ones(m), np.zeros((n, 3)), np.zeros(n), float(domains.particle.mass.sum()),
-        domains.particle.law, eps_p=body.eps_p, T=np.full(m, 300.0), eps_gradient=np.zeros((m, 3)),
-    )  # fmt: skip
-    domain = domain_of(state, "splat1")
-    splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), track_wave=False)
-    splat.start_from(domain.nodes, domain.elements, splat)
-    arm = splat.nodes.x - splat.mass @ splat.nodes.x / splat.mass.sum()
-    omega = np.array([0.0, 2.0 * np.pi / TURN, 0.0])
-    splat.nodes.v[:] = np.array([0.0, 0.0, -500.0]) + np.cross(omega, arm)
-    rim = omega[1] * float(np.max(np.hypot(arm[:, 0], arm[:, 2])))
-    centrifugal = float(domain.laws["rho"][0]) * rim**2
-    kinetic, momentum, strain = splat.kinetic(), splat.momentum(), splat.elements.eps_p.copy()
-    elastic, spin, steps = splat.elastic(), spin_of(splat), 0
-    while splat.time < TURN:
-        dt = min(splat.stable_dt(1.0), 0.1 * (TURN - splat.time) + 1e-15)
-        for _ in range(10):
-            splat.advance(dt)
-            splat.finish()
-        steps += 10
-    energy = splat.kinetic() + splat.elastic() - elastic + splat.balance.plastic + splat.balance.numerical
-    drift = energy / kinetic - 1.0
-    error = float(np.linalg.norm(splat.momentum() - momentum) / np.linalg.norm(momentum))
-    wrong = []
-    if abs(drift) > 1e-6:
-        wrong.append(f"energy off by {drift:+.1e}")
-    if error > 1e-12:
-        wrong.append(f"momentum off by {error:.1e}")
-    if (turn := float(np.linalg.norm(spin_of(splat) - spin) / np.linalg.norm(spin))) > 1e-9:
-        wrong.append(f"angular momentum off by {turn:.1e}")
-    if (grown := float(np.max(splat.elements.eps_p - strain))) > 0.0:
-        wrong.append(f"plastic strain grew by {grown:.1e}")
-    now = splat.nodes.x - splat.mass @ splat.nodes.x / splat.mass.sum()
-    young = float(9.0 * domain.laws["K"][0] / (3.0 * domain.laws["K"][0] / domain.laws["G"][0] + 1.0))
-    if (bent := radius_change(now, arm)) > centrifugal / young:
-        wrong.append(f"shape off by {bent:.1e} of its radius")
-    return "fails" if wrong else "passes", {
-        "points": m, "steps": steps, "end ns": f"{splat.time * 1e9:.1f}", "drift": f"{drift:+.1e}", "momentum": f"{error:.0e}",
-    }, wrong  # fmt: skip
-
-
-def radius_change(now: np.ndarray, before: np.ndarray) -> float:
-    """By how much (n,3) points about their centre have moved from others but for a rotation, over the largest radius (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(now.T @ before)
-    keep = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
-    away = np.linalg.norm(now - before @ (u @ keep @ vt).T, axis=1)
-    return float(away.max() / np.linalg.norm(before, axis=1).max())
-
-
-def spin_of(splat: Target) -> np.ndarray:
-    """Angular momentum (3,) about the centre of mass, kg m2/s."""
-    centre = splat.mass @ splat.nodes.x / splat.mass.sum()
-    return splat.mass @ np.cross(splat.nodes.x - centre, splat.velocity())
-
-
-SPECIAL: dict[str, Callable[[Path], Judged]] = {
-    "Ni 1000 m/s at 45 degrees, restarted in the middle": restarted,
-    "a splat in rigid motion": flying,
-}
 
 
 def page_part(rows: list[Row]) -> list[str]:
     """Checks, and counts by kind of scene."""
     verdicts = ("passes", "warned", "refused", "gives up", "undecided", "fails")
     by_name = {row["scene"]: row for row in rows}
-    groups = {kind: list(scenes) for kind, scenes in kinds().items()} | {"restart, rigid motion": list(SPECIAL)}
-    groups = {kind: [name for name in names if name in by_name] for kind, names in groups.items()}
+    groups = {kind: [name for name in scenes if name in by_name] for kind, scenes in kinds().items()}
     shown = [v for v in verdicts if v in verdicts[:4] or any(row["verdict"] == v for row in rows)]
 
     def line(kind: str, own: list[Row]) -> list[object]:
@@ -395,25 +281,21 @@ def draw(rows: list[Row]) -> None:
 
 def main() -> None:
     """Compute the scenes that the table lacks, and those that fail."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", default="", help="scenes with this text in their names, computed again")
-    parser.add_argument("--docs", action="store_true", help="run nothing: write the page")
-    a = parser.parse_args()
+    a = options(__doc__, "docs", only="")
     scenes = battery()
-    names = [*scenes, *SPECIAL]
     table = study_table("stability", COLUMNS, ("scene",), "make stability")
     kept = {row["scene"] for row in table.rows if row["verdict"] != "fails"} if not a.only else set()
-    for name in names if not a.docs else ():
+    for name in scenes if not a.docs else ():
         if a.only not in name or name in kept:
             continue
         started = clock.process_time()
         with tempfile.TemporaryDirectory() as folder:
-            verdict, row, reasons = SPECIAL[name](Path(folder)) if name in SPECIAL else play(scenes[name], Path(folder))
+            verdict, row, reasons = play(scenes[name], Path(folder))
         why = "; ".join(reasons).replace("\n", " ")
         spent = f"{clock.process_time() - started:.0f}"
         new = table.add({**row, "scene": name, "verdict": verdict, "cpu s": spent, "why": why})
         print(*filter(None, new.values()), sep=" | ", flush=True)
-    rows = sorted((row for row in table.rows if row["scene"] in names), key=lambda row: names.index(row["scene"]))
+    rows = sorted(table.rows, key=lambda row: list(scenes).index(row["scene"]))
     draw(rows)
     write_parts("stability", {"table": page_part(rows)})
     print(Counter(row["verdict"] for row in rows))
