@@ -4,14 +4,11 @@ The measured values, the suspects and their numbers are in workflows/measurement
 docs/tables/aluminium.csv that is not computed again. --docs runs nothing.
 """
 
-import tomllib
-from pathlib import Path
-
-from pages import computed, fill, markdown, number, options, study_table, table_rows, write_parts
+from pages import computed, fill, markdown, measurements, number, options, study_table, table_rows, write_parts
 
 from coupler import Scene
 
-KNOWN = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())["aluminium"]
+KNOWN = measurements("aluminium")
 KEY = ("suspect", "velocity_m_s")
 COLUMNS = (*KEY, "restitution", "margin_J", "flattening", "T_max_K", "numerical_share", "cpu_s")
 SCENE = """
@@ -55,7 +52,7 @@ def row_of(suspect: str, velocity: str) -> dict[str, object]:
     with computed(scene, numerics={"contact_stiffness": values["stiffness"]}, error=False) as (result, cpu):
         s = result.values
     return {
-        "suspect": suspect, "velocity_m_s": velocity, "restitution": (s["rebound_velocity_m_s"] or 0.0) / v, "margin_J": s["margin_J"],
+        "restitution": (s["rebound_velocity_m_s"] or 0.0) / v, "margin_J": s["margin_J"],
         "flattening": s["flattening_ratio_total"], "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"], "cpu_s": cpu,
     }  # fmt: skip
 

@@ -4,14 +4,16 @@ workflows/coating_size.toml with other seeds, on its substrate and on one of twi
 docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the sentence of the page.
 """
 
+import itertools
+
 import numpy as np
-from pages import ROOT, column, computed, options, study_table, table_rows, versions, write_parts
+from pages import ROOT, column, computed, fill, options, study_table, table_rows, versions, write_parts
 
 from coupler import Scene
 from coupler.studies import coating
 
 SEEDS = range(3, 11)
-SIZES = ((110, 60), (220, 120))  # um, diameter and height
+SIZES = {"110": 60, "220": 120}  # um, diameter and height
 RADIUS = 10e-6  # m: of the disc that is measured
 MEASURES = {  # column: name and unit of its change
     "thickness_um": ("thickness", "%"), "strain": ("plastic strain", "%"), "von_mises_MPa": ("von Mises stress", "%"),
@@ -19,17 +21,17 @@ MEASURES = {  # column: name and unit of its change
 }  # fmt: skip
 
 
-def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
-    """The coating of a seed on a substrate, um; stresses are means over the volume of the splats within RADIUS."""
-    size = {"substrate.diameter": f'"{diameter} um"', "substrate.height": f'"{height} um"'}
-    settings = (("coating.seed", f"{seed}"), *size.items())
+def row_of(seed: str, diameter: str) -> dict[str, object]:
+    """The coating of a seed on a substrate of a diameter, um; stresses are means over the volume of the splats within RADIUS."""
+    size = {"substrate.diameter": f'"{diameter} um"', "substrate.height": f'"{SIZES[diameter]} um"'}
+    settings = (("coating.seed", seed), *size.items())
     scene = Scene.load(ROOT / "workflows" / "coating_size.toml", settings)
     with computed(scene) as (result, cpu):
         measures = coating.measure(coating.read(result), RADIUS)
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
     volume = [layer["volume_m3"] for layer in layers]
     return {
-        "seed": seed, "diameter_um": diameter, "thickness_um": measures.thickness_mean_m * 1e6,
+        "thickness_um": measures.thickness_mean_m * 1e6,
         "strain": np.average([layer["eps_p_mean"] for layer in layers], weights=volume),
         "von_mises_MPa": np.average([layer["von_mises_mean"] for layer in layers], weights=volume) * 1e-6,
         "thermal_MPa": measures.thermal_in_plane_Pa * 1e-6, "residual_MPa": measures.stress_in_plane_Pa * 1e-6,
@@ -41,7 +43,7 @@ def lines() -> list[str]:
     """A sentence: the mean changes from the small to the large substrate, with their standard errors."""
     rows = table_rows("coating_size_seeds")
     rows_in_order = sorted(rows, key=lambda row: int(row["seed"]))
-    small, large = ([row for row in rows_in_order if row["diameter_um"] == f"{d}"] for d, _ in SIZES)
+    small, large = ([row for row in rows_in_order if row["diameter_um"] == d] for d in SIZES)
     pairs = min(len(small), len(large))
     changes = []
     for name, (label, unit) in MEASURES.items():
@@ -58,10 +60,7 @@ def main() -> None:
     a = options(__doc__, "docs")
     columns = ("seed", "diameter_um", *MEASURES, "cpu_s")
     table = study_table("coating_size_seeds", columns, columns[:2], "python workflows/coating_size.py")
-    for seed in () if a.docs else SEEDS:
-        for diameter, height in SIZES:
-            if (str(seed), str(diameter)) not in table:
-                print(table.add(row_of(seed, diameter, height)), flush=True)
+    fill(table, () if a.docs else itertools.product(map(str, SEEDS), SIZES), row_of)
     write_parts("coating", {"size": lines()})
 
 

@@ -5,25 +5,22 @@ coating is a row of docs/tables/coating_al.csv that is not computed again; --doc
 """
 
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import EVIDENCE, ROOT, column, computed, failed, fill, markdown, options, study_table, write_parts
+from pages import EVIDENCE, ROOT, column, computed, fill, markdown, measurements, options, study_table, write_parts
 
 from coupler import Scene
-from coupler.errors import ColdsprayError
 from coupler.geometry.tetrahedra import volumes
 from coupler.physics.materials import material
 from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.table import Row
 
-MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())["deposition_stress"]
+MEASURED = measurements("deposition_stress")
 KEY = ("metal", "velocity_m_s", "strength", "seed", "test")
 COLUMNS = (
     *KEY, "impact_m_s", "impact_K", "stress_MPa", "stress_all_MPa", "thermal_all_MPa", "density", "overlap_share", "strain", "eps_p",
@@ -58,15 +55,12 @@ def keys() -> Iterator[tuple[str, ...]]:
 
 def row_of(*key: str) -> dict[str, object]:
     """The coating of a key as a row of the table."""
-    row: dict[str, object] = dict(zip(KEY, key, strict=True))
-    try:
-        scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings(*key))
-        at_impact = {"impact_m_s": scene.particles[0].velocity, "impact_K": scene.particles[0].temperature}
-        with computed(scene, skip_failed=True) as (result, cpu):
-            drift = max(abs(impact["energy_drift"]) for impact in result.summary["impacts"])
-            return row | at_impact | values_of(coating.read(result)) | {"drift": drift, "cpu_s": cpu, "failed": ""}
-    except ColdsprayError as problem:
-        return row | failed(problem)
+    scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings(*key))
+    particle = scene.particles[0]
+    with computed(scene, skip_failed=True) as (result, cpu):
+        drift = max(abs(impact["energy_drift"]) for impact in result.summary["impacts"])
+        measures = values_of(coating.read(result))
+    return {"impact_m_s": particle.velocity, "impact_K": particle.temperature, **measures, "drift": drift, "cpu_s": cpu}
 
 
 def values_of(splats: coating.Splats) -> dict[str, float]:

@@ -12,9 +12,10 @@ import json
 import math
 import time
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
-from pages import computed, markdown, number, options, single_impact, spacing_of, study_table, write_parts
+from pages import computed, fill, markdown, number, options, single_impact, spacing_of, study_table, write_parts
 
 from coupler import Scene
 from coupler.impact.domains import build_domains
@@ -101,63 +102,59 @@ def compute(text: str) -> dict[str, float]:
 
 def study(table: StudyTable) -> None:
     """Leave out one effect at a time."""
-    for name, (text, effects) in STUDIES.items():
-        if wanted := [effect for effect in effects if (name, effect) not in table]:
-            base = ["all", f"+{GRADIENTS}"] if GRADIENTS in effects else ["all"]
-            numbers = {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
-            whole = compute(f"effects = {json.dumps(base)}\n{text}")
-            for effect in wanted:
-                values = compute(f"effects = {json.dumps([*base, f'-{effect}'])}\n{text}")
-                row = {"scene": name, "effect": effect, "number": f"{numbers[effect]:.4g}"}
-                # in percent of what it is with everything on; nan where that is 0
-                changes = {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
-                print(table.add({**row, **changes}), flush=True)
+
+    @cache
+    def whole(name: str) -> dict[str, float]:
+        return compute(f"effects = {json.dumps(base(name))}\n{STUDIES[name][0]}")
+
+    def base(name: str) -> list[str]:
+        return ["all", f"+{GRADIENTS}"] if GRADIENTS in STUDIES[name][1] else ["all"]
+
+    def row_of(name: str, effect: str) -> dict[str, object]:
+        """Changes in percent of what it is with everything on; nan where that is 0."""
+        text = STUDIES[name][0]
+        numbers = {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
+        values = compute(f"effects = {json.dumps([*base(name), f'-{effect}'])}\n{text}")
+        changes = {key: 100.0 * (values[key] / (whole(name)[key] or math.nan) - 1.0) for key in CONVERGING}
+        return {"number": f"{numbers[effect]:.4g}", **changes}
+
+    fill(table, ((name, effect) for name, (_, effects) in STUDIES.items() for effect in effects), row_of)
 
 
-def least_of(scenes: Mapping[str, str], rounds: int) -> dict[str, Sequence[float]]:
-    """`in_turn` several times: of each ten steps the least."""
-    least = in_turn(scenes)
-    for _ in range(rounds - 1):
-        least = {key: np.minimum(costs, least[key]) for key, costs in in_turn(scenes).items()}
-    return least
-
-
-def in_turn(scenes: Mapping[str, str]) -> dict[str, Sequence[float]]:
-    """Processor time (s) of each ten steps of impacts that differ in their effects, until CROSSINGS x D/v.
+def in_turn(scenes: Mapping[str, str], rounds: int) -> dict[str, Sequence[float]]:
+    """Processor time (s) of each ten steps of impacts that differ in their effects, until CROSSINGS x D/v, the least of some rounds.
 
     They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
     """
-    impacts, end = {}, 0.0
-    for name, text in scenes.items():
-        planned = plan(Scene.from_text(text, "effects_study"))
-        impacts[name] = Impact(build_domains(planned))
-        end = CROSSINGS * planned.impact.diameter / float(np.linalg.norm(planned.impact.velocity))
-    costs: dict[str, list[float]] = {name: [] for name in impacts}
-    while going := {name: impact for name, impact in impacts.items() if impact.time < end}:
-        for name, impact in going.items():
-            start = time.process_time()
-            advance_chunk(impact)
-            costs[name].append(time.process_time() - start)
-    for impact in impacts.values():
-        impact.particle.close()
-    return {name: seconds[1:] for name, seconds in costs.items()}
+    least: dict[str, Sequence[float]] = {}
+    for _ in range(rounds):
+        costs: dict[str, list[float]] = {name: [] for name in scenes}
+        planned = {name: plan(Scene.from_text(text, "effects_study")) for name, text in scenes.items()}
+        impacts = {name: Impact(build_domains(each)) for name, each in planned.items()}
+        first = next(iter(planned.values())).impact
+        end = CROSSINGS * first.diameter / float(np.linalg.norm(first.velocity))
+        while going := {name: impact for name, impact in impacts.items() if impact.time < end}:
+            for name, impact in going.items():
+                start = time.process_time()
+                advance_chunk(impact)
+                costs[name].append(time.process_time() - start)
+        for name, impact in impacts.items():
+            impact.particle.close()
+            least[name] = np.minimum(costs[name][1:], least.get(name, np.inf))
+    return least
 
 
-def proof(table: StudyTable, rounds: int) -> None:
+def proof(name: str, rounds: int) -> dict[str, object]:
     """Everything that can act against `auto`, at draft: steps of single impacts in turn, a sequence as whole runs in turn."""
-    for name, text in PROOFS.items():
-        if (name,) in table:
-            continue
-        texts = {effects: f'preset = "draft"\neffects = "{effects}"\n{text}' for effects in ("all", "auto")}
-        planned = plan(Scene.from_text(texts["auto"], "effects_study"))
-        if len(planned.impacts) == 1:
-            cpu = {key: float(np.sum(costs)) for key, costs in least_of(texts, rounds).items()}
-        else:
-            pairs = [{key: compute(each)["cpu_s"] for key, each in texts.items()} for _ in range(rounds + 1)]
-            cpu = {key: min(pair[key] for pair in pairs[1:]) for key in texts}  # the first ones compile
-        left_out = " ".join(row.name for row in planned.decisions if not row.on)
-        row = {"scene": name, "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"]}
-        print(table.add({**row, "left_out": left_out}), flush=True)
+    texts = {effects: f'preset = "draft"\neffects = "{effects}"\n{PROOFS[name]}' for effects in ("all", "auto")}
+    planned = plan(Scene.from_text(texts["auto"], "effects_study"))
+    if len(planned.impacts) == 1:
+        cpu = {key: float(np.sum(costs)) for key, costs in in_turn(texts, rounds).items()}
+    else:
+        pairs = [{key: compute(each)["cpu_s"] for key, each in texts.items()} for _ in range(rounds + 1)]
+        cpu = {key: min(pair[key] for pair in pairs[1:]) for key in texts}  # the first ones compile
+    left_out = " ".join(row.name for row in planned.decisions if not row.on)
+    return {"cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"], "left_out": left_out}
 
 
 def main() -> None:
@@ -167,7 +164,7 @@ def main() -> None:
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
     against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
     if a.proof:
-        proof(against, a.rounds)
+        fill(against, ((name,) for name in PROOFS), lambda name: proof(name, a.rounds))
     elif not a.docs:
         study(influence)
     write(influence.rows, against.rows)
@@ -187,13 +184,9 @@ def write(influence: list[Row], against: list[Row]) -> None:
     head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "threshold"]
     ratios = [number(row, "ratio") for row in against]
     median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
-    out = [row["left_out"].split() for row in against]
-    everywhere = [name for name in NAMES if all(name in names for names in out)]
-    saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", ", ".join(name for name in names if name not in everywhere) or "-"]
-             for row, names in zip(against, out, strict=True)]  # fmt: skip
     write_parts("effects", {
         "table": markdown(head, lines, influence),
-        "proof": [*markdown(f"scene | time, everything over auto | left out beside {' and '.join(everywhere)}", saved), "", median],
+        "proof": [median],
     })  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from pages import computed, number, options, study_table, versions, write_parts
+from pages import computed, fill, number, options, study_table, versions, write_parts
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -103,14 +103,8 @@ class ElementImpact:
     def energy(self) -> float:
         """Sum of all energies of the ledger, J."""
         t = self.target
-        return float(
-            t.kinetic()
-            + t.elastic()
-            + t.balance.plastic
-            + t.balance.numerical
-            + t.balance.absorbed
-            + self.bodies.energy
-        )
+        lost = t.balance.plastic + t.balance.numerical + t.balance.absorbed
+        return float(t.kinetic() + t.elastic() + lost + self.bodies.energy)
 
     @property
     def sinking(self) -> float:
@@ -220,6 +214,15 @@ def _shown(values: Mapping[str, Mapping[str, float | None]]) -> dict[str, float 
     return row
 
 
+METHODS = {"elements": by_elements, "points": by_points}
+
+
+def row_of(case: str, method: str, size: str) -> dict[str, object]:
+    """One impact by a method; size: um."""
+    began = time.process_time()
+    return {**METHODS[method](case, float(size)), "cpu_s": round(time.process_time() - began, 1)}
+
+
 def part(rows: Sequence[Row]) -> list[str]:
     """What points and elements differ by in each case, at the smallest size."""
     of = {(row["case"], row["method"]): row for row in rows if row["size_um"] == f"{SIZES[-1]:g}" and not row["failed"]}
@@ -237,18 +240,8 @@ def main() -> None:
     """Compute the rows that the table lacks; write the part of the page."""
     a = options(__doc__, "docs")
     table = study_table("element_particle", COLUMNS, KEY, "python workflows/element_particle.py")
-    methods = {"elements": by_elements, "points": by_points}
-    for size, case, method in itertools.product(SIZES, CASES, methods) if not a.docs else ():
-        key = (case, method, f"{size:g}")
-        if key not in table:
-            began, failed = time.process_time(), ""
-            row: dict[str, object] = {}
-            try:
-                row = methods[method](case, size)
-            except SolverError as problem:
-                failed = str(problem)[:100]
-            cpu = round(time.process_time() - began, 1)
-            print(table.add({**dict(zip(KEY, key, strict=True)), **row, "cpu_s": cpu, "failed": failed}), flush=True)
+    keys = ((case, method, f"{size:g}") for size, case, method in itertools.product(SIZES, CASES, METHODS))
+    fill(table, () if a.docs else keys, row_of)
     write_parts("accuracy", {"element particle": part(table.rows)})
 
 

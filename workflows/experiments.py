@@ -8,7 +8,6 @@ splats_4340.csv that is not computed again. Nothing is fitted.
 """
 
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,8 +19,9 @@ from pages import (
     EVIDENCE,
     column,
     computed,
-    failed,
+    fill,
     markdown,
+    measurements,
     number,
     options,
     study_table,
@@ -31,14 +31,12 @@ from pages import (
 )
 
 from coupler import Scene
-from coupler.errors import ColdsprayError
 from coupler.physics.materials import entry, material
 from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
-MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())
-REBOUND, SPLAT = MEASURED["rebound"], MEASURED["splat"]
+REBOUND, SPLAT = measurements("rebound"), measurements("splat")
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
 PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
@@ -131,22 +129,19 @@ def splats() -> Iterator[Case]:
 
 def row_of(case: Case) -> dict[str, object]:
     """The run of a case as a row of the table."""
-    row = dict(zip(KEY, case.key, strict=True)) | {"target": case.target, "diameter_um": case.diameter}
     scene = Scene.from_text(case.text, "experiment")
     numerics = {} if case.stiffness == 1.0 else {"contact_stiffness": case.stiffness}
-    try:
-        # the error of a splat is on the page
-        with computed(scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
-            s = result.values
-    except ColdsprayError as problem:
-        return row | failed(problem)
+    # the error of a splat is on the page
+    with computed(scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
+        s = result.values
     band_of = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
-    return row | {
+    return {
+        "target": case.target, "diameter_um": case.diameter,
         "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
         "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
         "splat_diameter_um": s["splat_diameter_m"] * 1e6, "thickness_um": s["thickness_m"] * 1e6,
         "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
-        "drift": s["energy_drift"], "cpu_s": cpu, "failed": "",
+        "drift": s["energy_drift"], "cpu_s": cpu,
     }  # fmt: skip
 
 
@@ -252,11 +247,12 @@ def main() -> None:
     a = options(__doc__, "docs", only=list(PARTS))
     for part in () if a.docs else a.only:
         name, cases = PARTS[part]
-        table = study_table(name, COLUMNS, KEY, "python workflows/experiments.py")
-        for case in cases():
-            if case.key not in table:
-                row = table.add(row_of(case))
-                print({key: row[key] for key in (*KEY, "restitution", "flattening", "cpu_s", "failed")}, flush=True)
+        wanted = {case.key: case for case in cases()}
+        fill(
+            study_table(name, COLUMNS, KEY, "python workflows/experiments.py"),
+            wanted,
+            lambda *key, of=wanted: row_of(of[key]),
+        )
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
     draw(rebound, EVIDENCE / "restitution_sets.png")
     write_parts("experiments", {"restitution": restitution_part(rebound), "splats": splat_part(splat)})

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pages import TABLES, markdown, write_parts, write_table
+from pages import TABLES, markdown, measurements, write_parts, write_table
 
 from coupler import __version__
 from coupler.measures import STICKS
@@ -23,7 +23,7 @@ from coupler.spray.sizes import Sizes
 from coupler.spray.window import Spray, spray
 
 HERE = Path(__file__).parent
-MEASURED = tomllib.loads((HERE / "measurements.toml").read_text())["flights"]
+MEASURED = measurements("flights")
 BAND = 0.2  # of the critical velocity
 ATMOSPHERE, ZERO = 1.01325e5, 273.15
 

@@ -5,7 +5,6 @@ they differ by more than the root of the sum of the squares of their errors, tho
 """
 
 import math
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +19,6 @@ from coupler.physics.materials import entry
 from coupler.plan import refinement
 from coupler.report.picture import blank, save
 
-MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())
 VALIDATION = "[validation](validation.md)"
 
 
@@ -122,16 +120,17 @@ def table(pairs: list[Pair]) -> list[str]:
     lines, last = [], ""
     for p in pairs:
         cells = shown(p.measured, p.measured_error, p.digits), shown(p.computed, p.computed_error, p.digits)
+        quantity = f"{p.kind}: {p.page}"
         lines.append(
-            [p.kind if p.kind != last else "", p.what, *cells, f"{p.apart:+.{p.digits}f}" if p.apart else "no", p.page]
+            [quantity if quantity != last else "", p.what, *cells, f"{p.apart:+.{p.digits}f}" if p.apart else "no"]
         )
-        last = p.kind
+        last = quantity
     counts = []
     for kind in dict.fromkeys(p.kind for p in pairs):
         own = [p for p in pairs if p.kind == kind]
         counts.append(f"{kind.split(',')[0]} {sum(not p.apart for p in own)} of {len(own)}")
     told = f"Not apart: {', '.join(counts)}; in all {sum(not p.apart for p in pairs)} of {len(pairs)}."
-    return [told, "", *markdown("quantity | case | measured | computed | apart | source", lines)]
+    return [told, "", *markdown("quantity | case | measured | computed | apart", lines)]
 
 
 def draw(pairs: list[Pair], path: Path) -> None:

@@ -5,6 +5,7 @@ Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write 
 """
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 from element_particle import ElementImpact, strike
@@ -60,27 +61,21 @@ def by_elements(case: str, size: float) -> dict[str, object]:
     off = 'effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]\n'
     spacing = round(size / ELEMENT_SIZE_OVER_SPACING, 6)
     impact = ElementImpact(plan(scene(case, "fine", spacing, off)), size * 1e-6)
-    t, own, diameter = impact.target, impact.elements, CASES[case][1] * 1e-6
+    t, own = impact.target, impact.elements
     undeformed = np.linalg.inv(_edges(t.nodes.x, t.mesh.conn[own]))
-    started, ended, last = time.process_time(), "at rest", (np.ones((1, 3)), impact.measures())
+    started, ended, last = time.process_time(), "at rest", (np.eye(3)[None], impact.measures())
 
     def probe() -> None:
         nonlocal last
-        F = np.swapaxes(undeformed @ _edges(t.nodes.x, t.mesh.conn[own]), 1, 2)
-        last = np.linalg.svd(F, compute_uv=False), impact.measures()
+        last = np.swapaxes(undeformed @ _edges(t.nodes.x, t.mesh.conn[own]), 1, 2), impact.measures()
 
     try:
         strike(impact, probe)
     except SolverError as problem:
         ended = f"{t.time * 1e9:.0f} ns: {str(problem)[:80]}"
-    stretches, m = last
-    skin = t.nodes.x[impact.nodes]
-    return {
-        "case": case, "preset": f"elements {size:g} um", "points": len(stretches), **_stretched(stretches),
-        **{name: round(m[key] / diameter, 3) for name, key in SHAPE.items()},
-        "top": round(float(skin[:, 2].max()) / diameter, 3), "span": round(float(np.ptp(skin[:, 2])) / diameter, 3),
-        "jet_um": round(m["jet_length_m"] * 1e6, 2), "cpu_s": round(time.process_time() - started, 1), "ended": ended,
-    }  # fmt: skip
+    F, measures = last
+    row = _row(case, F, t.nodes.x[impact.nodes], measures)
+    return {**row, "cpu_s": round(time.process_time() - started, 1), "ended": ended}
 
 
 def _edges(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -88,38 +83,37 @@ def _edges(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return x[tets[:, 1:]] - x[tets[:, :1]]
 
 
-def _stretched(stretches: np.ndarray) -> dict[str, float]:
-    """The columns that describe principal stretches (n, 3), the largest first."""
-    return {
-        "stretch_median": round(float(np.median(stretches[:, 0])), 2),
-        "stretch_99": round(float(np.percentile(stretches[:, 0], 99)), 2),
-        "thinned": round(float(np.mean(stretches[:, 2] < THINNED)), 4),
-    }
-
-
-def row(case: str, what: str) -> dict[str, object]:
-    """Run one scene to rest and measure its splat and its jet. what: a preset, "N points", or "elements S um"."""
-    if what.startswith("elements"):
-        return by_elements(case, float(what.split()[1]))
-    impact_of = (
-        scene(case, what) if what in PRESETS else scene(case, "fine", round(spacing_of(int(what.split()[0])), 6))
-    )
+def by_points(case: str, what: str) -> dict[str, object]:
+    """Run one scene to rest. what: a preset, or "N points"."""
+    preset, spacing = (what, 0.0) if what in PRESETS else ("fine", round(spacing_of(int(what.split()[0])), 6))
     last: dict[str, np.ndarray] = {}
 
     def probe(impact: Impact) -> None:
         p = impact.particle
         last["F"], last["skin"] = p.whole("F").reshape(-1, 3, 3), impact.surface.positions(p.x)
 
-    with computed(impact_of, probe=probe) as (result, cpu):
-        end, diameter = dict(result.end), CASES[case][1] * 1e-6
-    stretches = np.linalg.svd(last["F"], compute_uv=False)
+    with computed(scene(case, preset, spacing), probe=probe) as (result, cpu):
+        end = dict(result.end)
+    row = _row(case, last["F"], last["skin"], end)
+    return {**row, "unresolved": round(end["unresolved_share"], 4), "cpu_s": round(cpu, 1), "ended": "at rest"}
+
+
+def _row(case: str, F: np.ndarray, skin: np.ndarray, measures: Mapping[str, float]) -> dict[str, object]:
+    """The columns of a splat and its jet. F (n,3,3): deformation gradients; skin (v,3) m: vertices; measures: as `Result.end`."""
+    diameter, stretches = CASES[case][1] * 1e-6, np.linalg.svd(F, compute_uv=False)  # the largest first
     return {
-        "case": case, "preset": what, "points": len(stretches), **_stretched(stretches),
-        **{name: round(end[key] / diameter, 3) for name, key in SHAPE.items()},
-        "top": round(float(last["skin"][:, 2].max()) / diameter, 3), "span": round(float(np.ptp(last["skin"][:, 2])) / diameter, 3),
-        "jet_um": round(end["jet_length_m"] * 1e6, 2), "unresolved": round(end["unresolved_share"], 4),
-        "cpu_s": round(cpu, 1), "ended": "at rest",
+        "points": len(stretches), "stretch_median": round(float(np.median(stretches[:, 0])), 2),
+        "stretch_99": round(float(np.percentile(stretches[:, 0], 99)), 2),
+        "thinned": round(float(np.mean(stretches[:, 2] < THINNED)), 4),
+        **{name: round(measures[key] / diameter, 3) for name, key in SHAPE.items()},
+        "top": round(float(skin[:, 2].max()) / diameter, 3), "span": round(float(np.ptp(skin[:, 2])) / diameter, 3),
+        "jet_um": round(measures["jet_length_m"] * 1e6, 2),
     }  # fmt: skip
+
+
+def row_of(case: str, what: str) -> dict[str, object]:
+    """Measure the splat and its jet of an impact. what: a preset, "N points", or "elements S um"."""
+    return by_elements(case, float(what.split()[1])) if what.startswith("elements") else by_points(case, what)
 
 
 def page(rows: list[Row]) -> None:
@@ -129,7 +123,7 @@ def page(rows: list[Row]) -> None:
         for body, own in bodies(rows, case).items():
             measures = (("stretch_median", "{:.2f}"), ("stretch_99", "{:.1f}"), ("height", "{:.2f}"), ("thickness", "{:.2f}"),
                         ("diameter", "{:.2f}"), ("jet_um", "{:.1f}"))  # fmt: skip
-            cells = [" / ".join(form.format(number(row, name)) for row in own) for name, form in measures]
+            cells = ["/".join(form.format(number(row, name)) for row in own) for name, form in measures]
             lines.append([case if body == "points" else "", body, *cells])
     head = "impact | particle of | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
     write_parts("jets", {"table": markdown(head, lines, rows)})
@@ -150,13 +144,10 @@ def figure(rows: list[Row]) -> None:
     left, right = drawing.subplots(1, 2)
     for k, case in enumerate(CASES):
         for body, own in bodies(rows, case).items():
-            style = {
-                "color": f"C{k}",
-                "ls": "-" if body == "points" else "--",
-                "mfc": None if body == "points" else "none",
-            }
+            full = body == "points"
+            style = {"color": f"C{k}", "ls": "-" if full else "--", "mfc": None if full else "none"}
             size = column(own, "points")
-            left.semilogx(size, column(own, "thickness"), "o", label=case if body == "points" else None, **style)
+            left.semilogx(size, column(own, "thickness"), "o", label=case if full else None, **style)
             right.semilogx(size, column(own, "stretch_99"), "o", **style)
             right.semilogx(size, column(own, "stretch_median"), "s", ms=4, alpha=0.5, **style)
     left.set(ylabel="thickness / diameter", title="99 % of the volume")
@@ -173,7 +164,7 @@ def main() -> None:
     table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
     whats = (*PRESETS, *(f"elements {size:g} um" for size in SIZES))
     if not options(__doc__, "docs").docs:
-        fill(table, [*((case, what) for what in whats for case in CASES), FINEST], row)
+        fill(table, [*((case, what) for what in whats for case in CASES), FINEST], row_of)
     page(table.rows)
     figure(table.rows)
 

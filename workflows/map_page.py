@@ -25,7 +25,7 @@ def main() -> None:
             for D in (sizes[0], sizes[-1]):
                 value = number(at[v, D], name) / (D if name.endswith("_m") else 1.0)
                 cells.append(f"{value:.{places}f}" if at[v, D][name] else at[v, D]["verdict"])
-            line.append(" / ".join(cells))
+            line.append("/".join(cells))
         lines.append(line)
     texts = []
     for name in ("flattening_ratio", "T_p99_K"):

@@ -1,111 +1,60 @@
-"""How well `coldspray check` predicts steps and time: scenes that nothing was fitted on, and the fit itself.
+"""The fit of what `coldspray check` predicts: steps and time to rest of single impacts: python workflows/pace.py
 
-    python workflows/pace.py            # the scenes, each run in one thread: docs/tables/pace.csv
-    python workflows/pace.py --sample   # impacts drawn at random, for the fit: docs/tables/pace_sample.csv
+    python workflows/pace.py            # impacts drawn at random, each run in one thread: docs/tables/pace_sample.csv
     python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/plan/cost.py to docs/tables and prints them
 
-The machine is timed again before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
-start of the program. Rows in the tables are not computed again.
+Rows in the table are not computed again.
 """
 
 import itertools
 import math
-import tempfile
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 import stability
-from pages import options, study_table, table_rows
+from pages import computed, fill, options, study_table, table_rows
 from scipy.optimize import least_squares
 
-from coupler import run
 from coupler.physics.materials import Material, material
 from coupler.physics.shapes import sphere_volume
 from coupler.plan import cost
-from coupler.plan.forecast import forecast
-from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
-from coupler.studies import ladder, pace, timing
 from coupler.studies.table import cell
 
-TIMED = 4
-COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
 DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
 SAMPLE = 75
 SAMPLED = ("draft", "standard")  # presets
 SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
-Table = dict[str, object]
 
 
-def scene(metal: str, diameter: float, velocity: float, on: str, preset: str = "draft", T: float = 300.0,
-          T_target: float = 300.0, angle: float = 0.0) -> Table:  # fmt: skip
-    """A scene as nested dicts; diameter um, velocity m/s, temperatures K, angle deg."""
-    particle = {"material": metal, "diameter": f"{diameter} um", "velocity": f"{velocity} m/s", "temperature": f"{T} K"}
-    size = {"diameter": f"{8 * diameter} um", "height": f"{4 * diameter} um"}
+def row_of(metal: str, on: str, D: str, v: str, T: str, T_target: str, angle: str, preset: str) -> dict[str, object]:
+    """Steps, time to rest and retries of an impact; diameter um, velocity m/s, temperatures K, angle deg."""
+    particle = {
+        "material": metal,
+        "diameter": f"{D} um",
+        "velocity": f"{v} m/s",
+        "temperature": f"{T} K",
+        "angle": f"{angle} deg",
+    }
+    size = {"diameter": f"{8 * float(D)} um", "height": f"{4 * float(D)} um"}
     base = {"material": on, **size, "temperature": f"{T_target} K"}
-    return {"particle": [particle | {"angle": f"{angle} deg"}], "substrate": base, "preset": preset}
+    scene = Scene.from_dict({"particle": [particle], "substrate": base, "preset": preset, "name": "pace"})
+    with computed(scene) as (result, _):
+        impact, retries = result.impacts[0], len(result.summary["run"]["retries"])
+    return {"steps": impact["steps"], "time_ns": 1e9 * impact["end"]["time_s"], "retries": retries}
 
 
-SCENES = {
-    "Al 25 um on SS304, 620 m/s": scene("Al", 25, 620, "SS304"),
-    "Al 25 um on SS304, 620 m/s, standard": scene("Al", 25, 620, "SS304", "standard"),
-    "Cu 20 um on SS304, 450 m/s": scene("OFHC_Cu", 20, 450, "SS304"),
-    "Cu 25 um on Cu, 575 m/s": scene("OFHC_Cu", 25, 575, "OFHC_Cu"),
-    "Cu 20 um at 700 K on 42CrMo4, 400 m/s": scene("OFHC_Cu", 20, 400, "42CrMo4", T=700),
-    "Al 35 um on Cu, 650 m/s": scene("Al", 35, 650, "OFHC_Cu"),
-    "Ti 25 um at 800 K on Ti at 500 K, 650 m/s": scene("Ti", 25, 650, "Ti", T=800, T_target=500),
-    "Ni 30 um on Cu at 25 degrees, 600 m/s": scene("Ni", 30, 600, "OFHC_Cu", angle=25),
-    "SS316L 25 um on SS316L, 750 m/s": scene("SS316L", 25, 750, "SS316L"),
-    "IN718 30 um at 600 K on Al, 500 m/s": scene("IN718", 30, 500, "Al", T=600),
-    "Ti 25 um on Ti, 650 m/s, standard": scene("Ti", 25, 650, "Ti", "standard"),
-    "Ni 25 um on SS304, 500 m/s, fine": scene("Ni", 25, 500, "SS304", "fine"),
-}
-
-
-def draw() -> list[Table]:
+def drawn() -> Iterator[tuple[str, ...]]:
     """Impacts by the columns DRAWN, drawn from one seed."""
-    rng, drawn = np.random.default_rng(1), []
+    rng = np.random.default_rng(1)
     for _ in range(SAMPLE):
         metal, on = (str(rng.choice(METALS)) for _ in range(2))
         diameter, velocity = round(float(rng.uniform(12, 45)), 1), round(float(rng.uniform(250, 900)))
         T = 300 if rng.random() < 0.6 else round(float(rng.uniform(350, 0.6 * material(metal).T_m)))
         T_target = 300 if rng.random() < 0.7 else round(float(rng.uniform(350, 700)))
         angle = 0 if rng.random() < 0.75 else round(float(rng.uniform(5, 45)))
-        drawn.append(dict(zip(DRAWN, (metal, on, diameter, velocity, T, T_target, angle), strict=True)))
-    return drawn
-
-
-def computed(made: Table, **more: object) -> tuple[dict[str, object], float]:
-    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s. more: keys of the scene."""
-    with tempfile.TemporaryDirectory() as folder:
-        before = ladder.spent()
-        result = run(Scene.from_dict({**made, "name": "pace", **more}), Path(folder) / "run", threads=1, quiet=True)
-        return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder.spent() - before
-
-
-def judge(name: str, here: pace.Pace) -> Table:
-    """Estimate, run, compare."""
-    planned = plan(Scene.from_dict({**SCENES[name], "name": "pace"}))
-    computed(SCENES[name], end={"time": f"{0.2e9 * planned.impact.expected:.3g} ns"})  # compiles the kernels
-    estimate, (impact, took) = here.seconds(planned), computed(SCENES[name])
-    values = (
-        name, planned.impact.points, sum(forecast(planned).steps), impact["steps"], round(estimate, 2), round(took, 2),
-        round(100 * (estimate / took - 1)), impact["retries"], round(here.factor, 3),
-    )  # fmt: skip
-    return dict(zip(COLUMNS, values, strict=True))
-
-
-def sample() -> None:
-    """Run the impacts that are drawn."""
-    columns, key = (*DRAWN, "preset", "steps", "time_ns", "retries"), (*DRAWN, "preset")
-    table = study_table("pace_sample", columns, key, "python workflows/pace.py --sample")
-    for preset, drawn in itertools.product(SAMPLED, draw()):
-        if (*(cell(value) for value in drawn.values()), preset) not in table:
-            metal, on, diameter, velocity, T, T_target, angle = drawn.values()
-            impact, _ = computed(scene(metal, diameter, velocity, on, preset, T, T_target, angle))  # type: ignore[arg-type]
-            found = {"steps": impact["steps"], "time_ns": 1e9 * impact["end"]["time_s"], "retries": impact["retries"]}  # type: ignore[operator]
-            print(table.add({**drawn, "preset": preset, **found}), flush=True)
+        yield tuple(map(cell, (metal, on, diameter, velocity, T, T_target, angle)))
 
 
 def impacts() -> tuple[np.ndarray, ...]:
@@ -170,19 +119,13 @@ def fit() -> None:
 
 
 def main() -> None:
-    """Judge the scenes, draw the sample, or fit."""
-    chosen = options(__doc__, "fit", "sample")
-    if chosen.fit or chosen.sample:
-        return fit() if chosen.fit else sample()
-    table = study_table("pace", COLUMNS, ("scene",), "python workflows/pace.py")
-    here = None
-    for number, name in enumerate(name for name in SCENES if (name,) not in table):
-        if here is None or number % TIMED == 0:
-            here = pace.Pace(timing.measure(), "")
-        print(table.add(judge(name, here)), flush=True)
-    off = [abs(float(row["off_percent"])) for row in table.rows]
-    print(f"{sum(x <= 30 for x in off)} of {len(off)} within 30 %")
-    return None
+    """Draw the sample, or fit."""
+    if options(__doc__, "fit").fit:
+        return fit()
+    key = (*DRAWN, "preset")
+    table = study_table("pace_sample", (*key, "steps", "time_ns", "retries"), key, "python workflows/pace.py")
+    sample = list(drawn())
+    return fill(table, ((*each, preset) for preset, each in itertools.product(SAMPLED, sample)), row_of)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import platform
 import re
 import tempfile
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coupler import Result, Scene, __version__, run
+from coupler.errors import ColdsprayError
 from coupler.studies.table import Row, StudyTable, read_rows, write_rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,10 +27,26 @@ EVIDENCE = DOCS / "evidence"
 
 
 def fill(table: StudyTable, keys: Iterable[tuple[str, ...]], row_of: Callable[..., Mapping[str, object]]) -> None:
-    """Compute the rows of a table that it lacks, by their keys, and print them. row_of: of the values of a key."""
+    """Compute the rows of a table that it lacks, by their keys, and print them. row_of: of the values of a key, the other columns.
+
+    The reason of a run that ends with an error goes into the column `failed` of a table that has one.
+    """
     for key in keys:
         if key not in table:
-            print(table.add(row_of(*key)), flush=True)
+            row: dict[str, object] = dict(zip(table.key, key, strict=True))
+            try:
+                row |= row_of(*key)
+            except ColdsprayError as problem:
+                if "failed" not in table.columns:
+                    raise
+                row["failed"] = " ".join(str(problem).split())[:200]
+            print(*filter(None, table.add(row).values()), sep=" | ", flush=True)
+
+
+def measurements(section: str) -> dict[str, Any]:
+    """A table of workflows/measurements.toml: measured values, how they were read, and what was fixed before the runs."""
+    known: dict[str, Any] = tomllib.loads((ROOT / "workflows" / "measurements.toml").read_text(encoding="utf-8"))
+    return known[section]  # type: ignore[no-any-return]
 
 
 def study_table(name: str, columns: Sequence[str], key: Sequence[str], remake: str) -> StudyTable:
@@ -129,11 +147,6 @@ def versions(rows: Iterable[Mapping[str, str]]) -> str:
     if len(count) == 1:
         return f"Computed with version {next(iter(count))}."
     return f"Computed with versions {', '.join(f'{name} ({n} rows)' for name, n in sorted(count.items()))}."
-
-
-def failed(problem: Exception) -> dict[str, object]:
-    """The column `failed` of a run that ends with an error."""
-    return {"failed": " ".join(str(problem).split())[:200]}
 
 
 def write_parts(page: str, parts: Mapping[str, Sequence[str]]) -> None:

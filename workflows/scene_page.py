@@ -29,29 +29,6 @@ DEFAULTS = {  # numbers of the plan, in words
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
-MATERIAL = {
-    "rho": "density; or `density`", "G": "shear modulus; or `E` (GPa) and `nu`, which give `c0`, too",
-    "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
-    "Gamma0": "Grüneisen's parameter", "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
-    "thermal_expansion": "linear; as cp; 0: not known",
-    "sigma_TS": "tensile strength at 293 K, for critical velocities",
-    "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
-    "oxide_threshold": "share of clean metal at which the film cracks",
-    "burgers": "Burgers vector",
-    "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2, for `gradient_hardening`",
-    "D_v": "self-diffusion through the lattice, factor; for `recovery`",
-    "Q_v": "its activation energy",
-    "D_c": "self-diffusion along dislocations, factor times area of a core",
-    "Q_c": "its activation energy",
-    "cp": "specific heat; one value, or two pairs [T, value], linear between",
-    "k": "conductivity; as cp",
-    "source": "of the numbers", "note": "a remark",
-    "strength": "a strength set of the library, or a law",
-}  # fmt: skip
-LAW = {
-    "law": f"{', '.join(f'`{name}`' for name in LAWS)}; `johnson_cook` by default",
-    "fitted": '`{ rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K", "1000 K"], strain = 0.5 }`: range of the fit',
-}
 EXAMPLE = """```toml
 [particle]
 material = "MyAlloy"
@@ -76,13 +53,6 @@ m = 1.03
 eps_dot_0 = "1 1/s"
 source = "an example, not a measurement"
 ```"""
-NOZZLE = {
-    "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
-    "diverging": "length of the second cone", "barrel": "length of a straight part behind",
-    "chamber": "length of a straight part before",
-    "injection": "place of the powder feed, from the throat, upstream negative; at the start by default",
-    "source": "of the numbers", "assumed": "which are assumed",
-}  # fmt: skip
 
 
 def main(path: Path = PAGE) -> None:
@@ -117,10 +87,10 @@ Units: {known}.
         lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
     own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
     lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
-              *_plain(materials.Material, materials.DEFAULTS, MATERIAL, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
+              *_plain(materials.Material, materials.DEFAULTS, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
     own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
     lines += ["## `[nozzles.NAME]`", "", own, "",
-              *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
+              *_plain(nozzles.Nozzle, nozzles._DEFAULTS, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -132,8 +102,9 @@ def missing_words() -> list[str]:
         above = info.alias or name
         keys += [f"{above}.{key}" for key in model.model_fields] if model else [above]
     keys = [key for key in keys if not words(key) and key not in ("materials", "nozzles")]
-    for kind, known in ((materials.Material, MATERIAL), (nozzles.Nozzle, NOZZLE)):
-        keys += [f"{kind.__name__}.{f.name}" for f in dataclasses.fields(kind) if f.name not in (*known, "name")]
+    for kind in (materials.Material, nozzles.Nozzle):
+        own = (f"{kind.__name__.lower()}.{field.name}" for field in dataclasses.fields(kind) if field.name != "name")
+        keys += [key for key in own if not words(key)]
     return keys
 
 
@@ -145,14 +116,16 @@ def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
     return [*lines, ""]
 
 
-def _plain(kind: Any, defaults: dict[str, Any], words: dict[str, str], unit_of: Any) -> list[str]:
+def _plain(kind: Any, defaults: dict[str, Any], unit_of: Any) -> list[str]:
     lines = ["| key | unit | default | |", "|---|---|---|---|"]
     for field in dataclasses.fields(kind):
         if field.name != "name":
             default = defaults.get(field.name, "needed")
             default = default[0][1] if isinstance(default, tuple) else default
             shown = "" if default in (None, "") else f"{default:g}" if isinstance(default, float) else default
-            lines.append(f"| `{field.name}` | {unit_of(field.name)} | {shown} | {words.get(field.name, '')} |")
+            lines.append(
+                f"| `{field.name}` | {unit_of(field.name)} | {shown} | {words(f'{kind.__name__.lower()}.{field.name}')} |"
+            )
     return [*lines, ""]
 
 
@@ -162,7 +135,8 @@ def _laws() -> list[str]:
     *_, last = texts.values()
     shared = [text for text in last if all(text in own for name, own in texts.items() if name != "johnson_cook")]
     lines = ["Keys of its strength law, in the same table (needed unless a default is given):", ""]
-    lines += [f"- `{key}`: {words}" for key, words in LAW.items()]
+    names = ", ".join(f"`{name}`" for name in LAWS)
+    lines += [f"- `law`: {names}; {words('law.law')}", f"- `fitted`: {words('law.fitted')}"]
     lines += [f"- `{name}`: {'; '.join(text for text in own if text not in shared)}." for name, own in texts.items()]
     lines.append(f"- all but `johnson_cook`: {'; '.join(shared)}.")
     return [*lines, ""]

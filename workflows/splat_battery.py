@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
-from pages import EVIDENCE, markdown, options, study_table, write_parts
+from pages import EVIDENCE, fill, markdown, options, study_table, write_parts
 
-from coupler.errors import ColdsprayError, SplatError
+from coupler.errors import SplatError
 from coupler.geometry.sections import crossing, section_of_tets
 from coupler.particle import packing
 from coupler.report.picture import blank, save
@@ -107,18 +107,14 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
 def compute(only: str, folder: Path, table: StudyTable) -> None:
     """Convert the clouds that the table lacks."""
     warm_up()
-    for name, (kind, make) in splat_clouds.every().items():
-        for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())) if only in name else ():
-            if (name, f"{ratio:g}") in table:
-                continue
-            try:
-                cloud = cloud_of(name, folder, make)
-            except ColdsprayError as problem:
-                print(f"{name}: no cloud, {problem}", flush=True)
-                break
-            new = table.add(row_of(name, kind, cloud, ratio))
-            shown = ("used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
-            print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
+    clouds = {name: each for name, each in splat_clouds.every().items() if only in name}
+
+    def convert_one(name: str, ratio: str) -> dict[str, Any]:
+        kind, make = clouds[name]
+        return row_of(name, kind, cloud_of(name, folder, make), float(ratio))
+
+    keys = ((name, f"{ratio:g}") for name in clouds for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())))
+    fill(table, keys, convert_one)
 
 
 def part(rows: Sequence[Row]) -> list[str]:

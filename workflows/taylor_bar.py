@@ -8,12 +8,11 @@ others, with their sources, are in tests/data/references.toml and sph_references
 
 import time as clock
 import tomllib
-from dataclasses import asdict, dataclass, fields
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import EVIDENCE, ROOT, TABLES, column, options, study_table, table_rows, write_table
+from pages import EVIDENCE, ROOT, TABLES, column, fill, options, study_table, table_rows, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
@@ -101,31 +100,11 @@ def _linear_hardening(law: dict[str, float]) -> Any:
     )  # fmt: skip
 
 
-@dataclass
-class Bar:
-    """The result of one bar of points by one engine: lengths mm, temperature C, energies over the initial kinetic energy.
+def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enriched") -> dict[str, Any]:
+    """One bar of about `points` points, from first touch to 80 us: lengths mm, temperature C, energies over the initial kinetic one.
 
     diameter: of the circle with the area of the foot seen along the axis; diameter_largest: twice the largest radius.
     """
-
-    engine: str
-    points: int
-    spacing_mm: float
-    length_mm: float
-    diameter_mm: float
-    diameter_largest_mm: float
-    T_max_C: float
-    eps_p_max: float
-    eps_p_p99: float
-    plastic: float
-    numerical: float
-    drift: float
-    steps: int
-    wall_s: float
-
-
-def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enriched") -> Bar:
-    """One bar of about `points` points, from first touch to 80 us."""
     started = clock.perf_counter()
     steel = material("42CrMo4")
     body = shapes.cylinder(DIAMETER, LENGTH, points)
@@ -155,25 +134,26 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
     surface, sums = skin.positions(bar.points.x), bar.totals()
     plastic, numerical = sums.plastic, sums.internal_work - sums.elastic - sums.plastic
     total = sums.kinetic + sums.elastic + plastic + numerical + stored
-    result = Bar(
-        engine=engine, points=bar.n, spacing_mm=bar.spacing * 1e3, length_mm=float(np.ptp(surface[:, 2])) * 1e3,
-        diameter_mm=2e3 * float(np.sqrt(ConvexHull(surface[:, :2]).volume / np.pi)),
-        diameter_largest_mm=2e3 * float(np.hypot(surface[:, 0], surface[:, 1]).max()),
-        T_max_C=float(bar.points.T.max()) - 273.15, eps_p_max=float(bar.points.eps_p.max()),
-        eps_p_p99=float(np.percentile(bar.points.eps_p, 99)), plastic=plastic / kinetic, numerical=numerical / kinetic,
-        drift=float(total) / kinetic - 1.0, steps=bar.steps, wall_s=clock.perf_counter() - started,
-    )  # fmt: skip
+    result = {
+        "engine": engine, "points": bar.n, "spacing_mm": bar.spacing * 1e3, "length_mm": float(np.ptp(surface[:, 2])) * 1e3,
+        "diameter_mm": 2e3 * float(np.sqrt(ConvexHull(surface[:, :2]).volume / np.pi)),
+        "diameter_largest_mm": 2e3 * float(np.hypot(surface[:, 0], surface[:, 1]).max()),
+        "T_max_C": float(bar.points.T.max()) - 273.15, "eps_p_max": float(bar.points.eps_p.max()),
+        "eps_p_p99": float(np.percentile(bar.points.eps_p, 99)), "plastic": plastic / kinetic, "numerical": numerical / kinetic,
+        "drift": float(total) / kinetic - 1.0, "steps": bar.steps, "wall_s": clock.perf_counter() - started,
+    }  # fmt: skip
     bar.close()
     return result
 
 
 def of_points() -> None:
     """Compute the bars of points that the table lacks."""
-    columns = ("asked", *(field.name for field in fields(Bar)))
+    columns = (
+        "asked", "engine", "points", "spacing_mm", "length_mm", "diameter_mm", "diameter_largest_mm", "T_max_C", "eps_p_max",
+        "eps_p_p99", "plastic", "numerical", "drift", "steps", "wall_s",
+    )  # fmt: skip
     table = study_table("taylor_bar_sph", columns, ("asked",), "python workflows/taylor_bar.py")
-    for count in POINTS:
-        if (str(count),) not in table:
-            print(table.add({"asked": count, **asdict(taylor_bar(count))}), flush=True)
+    fill(table, ((str(count),) for count in POINTS), lambda count: taylor_bar(int(count)))
 
 
 def of_elements() -> None:

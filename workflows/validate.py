@@ -17,7 +17,7 @@ import numpy as np
 import validation_figures as figures
 import validation_page as page
 from numpy.typing import NDArray
-from pages import TABLES, computed, failed, options, study_table, write_table
+from pages import TABLES, computed, options, study_table, write_table
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
@@ -39,27 +39,21 @@ DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
 # Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
 SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
-# Columns of the table: measures of an impact, of its end, of a shape at some moment, with the factor from SI.
-OF_IMPACT = {
-    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0), "numerical_share": ("numerical_dissipation", 1.0),
-    "drift": ("energy_drift", 1.0), "points": ("points", 1), "elements": ("elements", 1), "steps": ("steps", 1),
-    "dt_ps": ("dt_mean_s", 1e12), "wall_s": ("wall_s", 1.0),
-}  # fmt: skip
-AT_END = {
-    "rebound_m_s": ("velocity_z_m_s", 1.0), "crater_um": ("crater_depth_m", 1e6), "target_T_max": ("target_T_max_K", 1.0),
-    "von_mises_MPa": ("von_mises_max_Pa", 1e-6), "target_von_mises_MPa": ("target_von_mises_max_Pa", 1e-6),
-    "target_eps_p_max": ("target_eps_p_max", 1.0), "plastic_radius_um": ("plastic_radius_m", 1e6),
-    **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},
-    **{f"T_{which}": (f"T_{which}_K", 1.0) for which in ("mean", "p99", "max")},
-}  # fmt: skip
-OF_SHAPE = {
-    "flattening": ("flattening_ratio", 1.0), "flattening_total": ("flattening_ratio_total", 1.0),
-    "thickness_um": ("thickness_m", 1e6), "diameter_um": ("splat_diameter_m", 1e6),
+# Column: record that it is from (the impact, its own end, its splat at the end of the run), measure, factor from SI.
+MEASURES = {
+    "diameter_um": ("impact", "diameter_m", 1e6), "speed_m_s": ("impact", "speed_m_s", 1.0), "points": ("impact", "points", 1),
+    "elements": ("impact", "elements", 1), "steps": ("impact", "steps", 1), "dt_ps": ("impact", "dt_mean_s", 1e12),
+    "drift": ("impact", "energy_drift", 1.0), "flattening_own": ("own", "flattening_ratio", 1.0),
+    "flattening_end": ("end", "flattening_ratio", 1.0), "thickness_um_end": ("end", "thickness_m", 1e6),
+    "diameter_um_end": ("end", "splat_diameter_m", 1e6), "crater_um": ("own", "crater_depth_m", 1e6),
+    "target_T_max": ("own", "target_T_max_K", 1.0), "von_mises_MPa": ("own", "von_mises_max_Pa", 1e-6),
+    "target_von_mises_MPa": ("own", "target_von_mises_max_Pa", 1e-6), "target_eps_p_max": ("own", "target_eps_p_max", 1.0),
+    "plastic_radius_um": ("own", "plastic_radius_m", 1e6), "eps_p_mean": ("own", "eps_p_mean", 1.0),
+    "eps_p_max": ("own", "eps_p_max", 1.0), "T_p99": ("own", "T_p99_K", 1.0), "T_max": ("own", "T_max_K", 1.0),
 }  # fmt: skip
 COLUMNS = (
-    "run", "impact", "preset", "engine", "material", "strength", "offset_um", "temperature_K", *OF_IMPACT,
-    *(f"{name}_{when}" for when in ("own", "end") for name in OF_SHAPE), "widest_um_end", *AT_END, "strained_radius_um",
-    "contact_pressure_MPa", "run_wall_s", "run_cpu_s", "failed",
+    "run", "impact", "engine", "material", "temperature_K", *MEASURES, "widest_um_end", "strained_radius_um", "contact_pressure_MPa",
+    "run_cpu_s", "failed",
 )  # fmt: skip
 
 
@@ -191,21 +185,14 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
         when += end["time_s"]
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
         at_end[len(impacts) - 1] = widest(f.points)
-        particle = scene.particles[k]
+        records = {"impact": impact, "own": end, "end": impact.get("at_end", end)}
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "preset": scene.preset, "engine": scene.resolution.engine,
-            "strength": scene.derived.material(particle.material).strength.label, "temperature_K": case.start,
-            "offset_um": float(np.hypot(*particle.offset)) * 1e6, "strained_radius_um": radius,
-            "run_wall_s": result.wall_s, "failed": "",
+            "run": case.name, "impact": k + 1, "engine": scene.resolution.engine, "material": impact["material"],
+            "temperature_K": case.start, "strained_radius_um": radius, "failed": "",
         }  # fmt: skip
-        row |= {column: impact[key] * factor for column, (key, factor) in OF_IMPACT.items()} | {
-            "material": impact["material"]
+        row |= {
+            name: record[key] * by for name, (of, key, by) in MEASURES.items() if (record := records[of]) is not None
         }
-        row |= {column: end[key] * factor for column, (key, factor) in AT_END.items()}
-        moments = {"own": end, "end": impact.get("at_end", end)}
-        for moment, m in moments.items():
-            if m is not None:
-                row |= {f"{column}_{moment}": m[key] * factor for column, (key, factor) in OF_SHAPE.items()}
         if k in at_end:
             row["widest_um_end"] = at_end[k] * 1e6
         rows.append(row)
@@ -251,8 +238,9 @@ def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
                 rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
             rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
-            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, **failed(problem)}]
-        shown = ("run", "impact", "flattening_own", "flattening_end", "run_wall_s", "failed")
+            reason = " ".join(str(problem).split())[:200]
+            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": reason}]
+        shown = ("run", "impact", "flattening_own", "flattening_end", "run_cpu_s", "failed")
         for row in rows:
             new = table.add(row)
             print({column: new[column] for column in shown}, flush=True)
