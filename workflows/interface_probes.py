@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from bonding_energy import Case
-from pages import computed, study_table
+from bonding_energy import scene_of
+from pages import computed, fill, study_table
 
 from coupler import Scene
 from coupler.impact.exchange import Impact
@@ -62,54 +62,50 @@ def compute(text: str, probe: Callable[[Impact], None], **numerics: float) -> di
         return dict(result.values)
 
 
-def springs(preset: str, factor: float) -> dict[str, object]:
+def springs(preset: str, factor: str) -> dict[str, object]:
     """One impact without bonds; energies over the section of the particle. factor: on the stiffness of the contact."""
-    scene, energy = Case("ni", (), preset).scene, list[float]()
+    scene, energy = scene_of("Ni", "10", preset=preset), list[float]()
 
     def probe(impact: Impact) -> None:
         if not energy and impact.sinking < 0.0:  # the particle turns back
             energy.append(impact.contact.penalty_energy)
 
     data = tomllib.loads(at_velocity(scene, VELOCITY_NI)) | {"adhesion": {"kind": "none"}}
-    s = compute(toml_text(data), probe, contact_stiffness=factor)
+    s = compute(toml_text(data), probe, contact_stiffness=float(factor))
     section = 0.25 * np.pi * scene.particle.diameter**2
     rebound = 0.5 * s["particle_mass_kg"] * s["velocity_z_m_s"] ** 2
-    values = (
-        scene.particle.material, VELOCITY_NI, preset, factor, round(energy[0] / section, 1), round(rebound / section, 1),
-        round(s["restitution"], 4), s["steps"],
-    )  # fmt: skip
-    return dict(zip(SPRINGS, values, strict=True))
+    return {
+        "metal": scene.particle.material, "velocity_m_s": VELOCITY_NI, "springs_J_m2": round(energy[0] / section, 1),
+        "rebound_J_m2": round(rebound / section, 1), "restitution": round(s["restitution"], 4), "steps": s["steps"],
+    }  # fmt: skip
 
 
 def profile() -> list[dict[str, object]]:
     """Means over the bonded area of each zone."""
-    scene, probe = Case("al", (), "standard", SIZE_AL).scene, Profile()
+    scene, probe = scene_of("Al1100", f"{SIZE_AL:g}", preset="standard"), Profile()
     compute(at_velocity(scene, VELOCITY_AL), probe)
     assert probe.values is not None
     radius, area, *fields = probe.values
-    rows = []
+    rows: list[dict[str, object]] = []
     for low, high in itertools.pairwise(ZONES):
         zone = (radius >= 0.5e-6 * SIZE_AL * low) & (radius < 0.5e-6 * SIZE_AL * high)
         if not area[zone].any():  # nothing has bonded there
             continue
         strength, flow, energy, clean = (float(np.average(field[zone], weights=area[zone])) for field in fields)
-        values = (
-            scene.particle.material, SIZE_AL, VELOCITY_AL, "standard", f"{low:g} to {high:g}", round(clean, 3),
-            round(strength * 1e-6), round(strength / flow, 2), round(energy, 1),
-        )  # fmt: skip
-        rows.append(dict(zip(PROFILE, values, strict=True)))
+        rows.append({
+            "metal": scene.particle.material, "diameter_um": SIZE_AL, "velocity_m_s": VELOCITY_AL, "preset": "standard",
+            "zone_r_over_R": f"{low:g} to {high:g}", "clean_share": round(clean, 3), "strength_MPa": round(strength * 1e-6),
+            "over_flow_stress": round(strength / flow, 2), "energy_J_m2": round(energy, 1),
+        })  # fmt: skip
     return rows
 
 
 def main() -> None:
     """Run what is missing."""
     remake = "python workflows/interface_probes.py"
-    held = study_table("contact_springs", SPRINGS, SPRINGS[:4], remake)
-    computed = {(row["preset"], float(row["contact_stiffness"])) for row in held.rows}
-    for case in itertools.product(("draft", "standard"), (1.0, 8.0, 16.0)):
-        if case not in computed:
-            print(held.add(springs(*case)), flush=True)
-    profiles = study_table("bond_profile", PROFILE, PROFILE[:5], remake)
+    cases = ((preset, factor) for preset in ("draft", "standard") for factor in ("1", "8", "16"))
+    fill(study_table("contact_springs", SPRINGS, SPRINGS[2:4], remake), cases, springs)
+    profiles = study_table("bond_profile", PROFILE, PROFILE[4:5], remake)
     for line in () if profiles.rows else profile():
         print(profiles.add(line), flush=True)
 
