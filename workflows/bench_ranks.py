@@ -1,7 +1,7 @@
 """What ranks gain: python workflows/bench_ranks.py [--repeats 3]   # docs/tables/ranks.csv
 
 The first 22 ns of two scenes, `single_ni` at `standard`, whose particle costs several times its target, and one whose particle and
-target cost the same, in one process (one thread; two) and under mpiexec on two and three ranks: wall time of the
+target cost the same, in one process of one thread and under mpiexec on two and three ranks: wall time of the
 steps, its ratio to one process on one thread, and the share of it that each rank waits for others in the exchange (what a rank
 waits inside LAMMPS is not in it). The runs of a round follow one another; the median over rounds is kept.
 """
@@ -16,17 +16,15 @@ from pages import TABLES, machine, options, single_impact, write_table
 
 from coupler import Result
 
-WAYS = {
-    "one process, one thread": (1, 1), "one process, two threads": (1, 2), "two ranks": (2, 1), "three ranks": (3, 1),
-}  # fmt: skip
+WAYS = {"one process, one thread": 1, "two ranks": 2, "three ranks": 3}
 END = '[end]\ntime = "22 ns"\n'
 EQUAL = single_impact("Ni", 25.0, 500.0, spacing=2.0, more='element_size = "2.4 um"\ngrowth = 0.12\n')
 PROGRAM = """
 import sys
 from coupler import run
-warm, scene, out, threads = sys.argv[1:]
+warm, scene, out = sys.argv[1:]
 for path in (warm, scene):
-    run(path, out, force=True, threads=int(threads))
+    run(path, out, force=True, threads=1)
 """  # the first loads compiled kernels, which takes as long as a hundred steps
 
 
@@ -48,9 +46,9 @@ def measured(scene: str, text: str, repeats: int) -> list[dict[str, object]]:
         path.write_text(text)
         warm.write_text(text.replace(END, '[end]\ntime = "3 ns"\n'))
         for repeat in range(repeats):
-            for name, (ranks, threads) in WAYS.items():
-                out = Path(place) / f"{ranks}{threads}"
-                program = [sys.executable, "-c", PROGRAM, str(warm), str(path), str(out), str(threads)]
+            for name, ranks in WAYS.items():
+                out = Path(place) / f"{ranks}"
+                program = [sys.executable, "-c", PROGRAM, str(warm), str(path), str(out)]
                 launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(ranks)] if ranks > 1 else []
                 subprocess.run([*launch, *program], check=True)
                 result = Result(out)
