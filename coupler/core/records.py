@@ -106,8 +106,15 @@ def arrays_of(record: object) -> dict[str, np.ndarray]:
     return {name: vars(record)[name] for name in rows_of(record)}
 
 
+def unfit(problem: str) -> CheckpointError:
+    """The error of a checkpoint that does not fit its run."""
+    return CheckpointError(f"the checkpoint does not fit: {problem}; start again with coldspray run --force")
+
+
 def copied(record: R) -> R:
-    """The record that an object is or derives from, with arrays, dicts and parts of its own."""
+    """The record that an object is or derives from, with arrays, dicts and parts of its own; None for None."""
+    if record is None:
+        return record
     kind = next(each for each in type(record).__mro__ if "__dataclass_fields__" in vars(each))
     return kind(**{f.name: _copied(vars(record)[f.name]) for f in fields(kind)})
 
@@ -129,10 +136,7 @@ def put(record: R, into: R) -> None:
         if isinstance(value, np.ndarray) and value.shape == own.shape:
             own[...] = value
         elif isinstance(value, np.ndarray) and (len(own) or value.shape[1:] != own.shape[1:]):
-            raise CheckpointError(
-                f"the checkpoint does not fit: {name} has the shape {value.shape}, needed {own.shape};"
-                " start again with coldspray run --force"
-            )
+            raise unfit(f"{name} has the shape {value.shape}, needed {own.shape}")
         elif is_dataclass(value) and isinstance(own, Kept):
             own.restore(value)
         elif is_dataclass(value):
@@ -170,7 +174,4 @@ def check_indices(record: object, **counts: int) -> None:
     for name, spec in shapes_of(record).items():
         value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):
-            raise CheckpointError(
-                f"the checkpoint does not fit: {name} refers to {spec.index_of} that do not exist;"
-                " start again with coldspray run --force"
-            )
+            raise unfit(f"{name} refers to {spec.index_of} that do not exist")

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic_core import to_json
 
-from ..core.records import Shape
-from ..errors import CheckpointError, StoreError, UnreadableError
+from ..core.records import Shape, unfit
+from ..errors import StoreError, UnreadableError
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
 from .result import COLD, DOMAINS, HISTORY
@@ -114,10 +114,7 @@ class Store:
         with _named(path):
             if state and len(state.history):
                 if state.history.shape[1] != len(state.columns):
-                    raise CheckpointError(
-                        "the checkpoint does not fit: the history has other columns;"
-                        " start again with coldspray run --force"
-                    )
+                    raise unfit("the history has other columns")
                 self._columns = list(state.columns)
                 self._rows = array("d", state.history.ravel().tobytes())
                 write_text(path, "".join(map(_line, [self._columns, *state.history])))

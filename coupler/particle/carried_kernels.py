@@ -1,4 +1,4 @@
-"""Points to a surface that they carry, and forces on it back to them: a sparse matrix and its transpose (numba)."""
+"""Transfer from points to the surface that they carry, and of forces back to the points: a sparse matrix and its transpose (numba)."""
 
 from ..compiling import njit
 from ..core.arrays import Arrays, Floats, Ints
@@ -10,7 +10,8 @@ LEAST_ROWS = 50  # in a range of a loop that threads share
 
 @njit(cache=True, nogil=True)
 def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats) -> None:
-    """W x and W v (k,3) at the given rows of W, in all threads; x, v (n,3). W: start (k+1,), columns, weights of compressed rows."""
+    """Write W x and W v to the given rows of out_x and out_v (k,3), in all threads. x, v (n,3); W: start (k+1,), columns, weights
+    (CSR)."""
     start, columns, weights = W
     for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
         for r in rows[lo:hi]:
@@ -20,8 +21,7 @@ def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x:
 
 @njit(cache=True, nogil=True)
 def spread(rows: Ints, start: Ints, columns: Ints, weights: Floats, forces: Floats, out: Floats) -> None:
-    """out (n,3) += W^T forces, of the given rows of forces (k,3) alone, in their order. W as in
-    `combine_both`."""
+    """Add W^T forces to out (n,3), for the given rows of forces (k,3), in their order. W: as in `combine_both`."""
     for q in range(len(rows)):
         r = rows[q]
         a, b, c = forces[r, 0], forces[r, 1], forces[r, 2]

@@ -1,9 +1,8 @@
-"""A surface of the undeformed body, carried along by the motion of the points.
+"""The surface of the undeformed body, carried along by the motion of the points.
 
-Contact, measures and figures of the particle use it. The reference configuration is known, so the deformed surface needs no
-reconstruction from a cloud: each vertex of the undeformed surface is a fixed linear combination of nearby points (linear
-moving least squares in the reference configuration). It is exact for any affine motion and lies on the material surface, not
-half a spacing inside it.
+Contact, measures and figures of the particle use it. Each vertex of the undeformed surface is a fixed linear combination of nearby
+points (linear moving least squares in the reference configuration). The deformed surface is exact for any affine motion, and lies
+on the material surface, not half a spacing inside it.
 """
 
 from functools import cached_property
@@ -20,12 +19,12 @@ from ..geometry.triangles import rings
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
-LEAST, INSTEAD = 8, 12  # points of a vertex: with fewer than the first number within SUPPORT, so many of the nearest
-BESIDE = 1.0  # spacings: a point so near to a vertex lies under it, in the outermost layer
+LEAST, INSTEAD = 8, 12  # a vertex with fewer than LEAST points within SUPPORT uses its INSTEAD nearest points
+BESIDE = 1.0  # spacings: a point closer to a vertex than this lies under it, in the outermost layer
 
 
 class CarriedSurface:
-    """vertices (k,3) m and triangles (m,3) of the undeformed surface of a body of points X (n,3) with the given spacing."""
+    """Surface of a body of points X (n,3) m with the given spacing: vertices (k,3) m and triangles (m,3) of the undeformed body."""
 
     def __init__(self, X: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, spacing: float):
         self.triangles = triangles
@@ -41,9 +40,9 @@ class CarriedSurface:
         phi = w * np.einsum("ij,ij->i", c[rows], p)
         shape = (len(vertices), len(X))
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
-        # The points may touch too: a single one can pass through the surface, which is an average.
-        self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
-        W = self.touching  # unsigned, because numba then does not test for negative indices
+        # The points are contact nodes too: the surface is an average, and a single point can pass through it.
+        self.touching = W = vstack([self.weights, identity(len(X), format="csr")], format="csr")
+        # unsigned integers: numba then does not test for negative indices
         self._touching = W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
         self.under = _under(tree, vertices, spacing)
         shepard = w / np.bincount(rows, w)[rows]
@@ -52,57 +51,59 @@ class CarriedSurface:
 
     @cached_property
     def neighbours(self) -> csr_matrix:
-        """Adjacency matrix (k,k): 1 for two vertices that share a triangle."""
+        """Adjacency matrix (k,k): 1 for two vertices of a common triangle."""
         vertices = self.weights.shape[0]
         start, ring = rings(self.triangles, np.arange(vertices))
         return csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
 
     def positions(self, x: np.ndarray) -> np.ndarray:
-        """Vertices (k,3) now, from the positions x (n,3) of the points."""
+        """Positions (k,3) m of the vertices, from the positions x (n,3) m of the points."""
         return times_rows(self.weights, x)
 
     def contacts(self, x: np.ndarray) -> np.ndarray:
-        """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3)."""
+        """Positions or velocities (k+n,3) of the contact nodes: first the vertices, then the points. x (n,3): of the points."""
         return times_rows(self.touching, x)
 
     def moving_contacts(
         self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray
     ) -> None:
-        """`contacts` of the positions x and of the velocities v, of these rows alone, in all threads."""
+        """`contacts` for positions x and velocities v (n,3), written to the given rows of out_x and out_v, in all threads."""
         together(k.combine_both, rows, self._touching, x, v, out_x, out_v)
 
     def spread(self, forces: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
-        """Add forces (k+n,3) on these rows of `contacts` to forces (n,3) on the points, out, at `support(rows)`: the same resultant,
-        the same moment, the same power."""
+        """Add forces (k+n,3) on the given rows of `contacts` to the forces out (n,3) on the points `support(rows)`. Resultant,
+        moment and power do not change."""
         k.spread(rows, *self._touching, forces, out)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Values (k+n,) of `contacts`, such as forces, as (k,) at the vertices: each with its share of the values at points below."""
+        """Sums (k,) at the vertices of values (k+n,) at `contacts`, such as forces: own value plus shares of the points under a
+        vertex."""
         vertices = len(self.weights.indptr) - 1
         return values[:vertices] + self.under @ values[vertices:]
 
     def support(self, rows: np.ndarray) -> np.ndarray:
-        """The points (p,), ascending, that these rows of `contacts` depend on and that receive their forces."""
+        """Points (p,), ascending, on which the given rows of `contacts` depend and which receive their forces."""
         return occurring(self.touching[rows].indices, self.touching.shape[1])
 
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
-        """Heat (k+n,) J at `contacts`, distributed to the points (n,)."""
+        """Distribute heat (k+n,) J at `contacts` to the points (n,)."""
         vertices = self.average.shape[0]
         return heat[vertices:] + self._from_vertices @ heat[:vertices]
 
     def softness(self, mass: np.ndarray) -> float:
-        """Largest inverse effective mass (1/kg) of one of `contacts`: sum of weight^2 / mass."""
+        """Largest inverse effective mass of a contact node, sum of weight^2 / mass, 1/kg. mass (n,) kg: of the points."""
         return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
 
     def values(self, field: np.ndarray) -> np.ndarray:
-        """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
+        """Averages at the vertices of a field (n, ...) of the points; they lie within the range of the points' values."""
         if field.ndim == 1:
             return times(self.average, field)
         return times_rows(self.average, field) if field.shape[1] == 3 else self.average @ field
 
 
 def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
-    """Shares (k,n) of each point for the vertices within BESIDE of it: the columns sum to one, or to nothing inside the body."""
+    """Shares (k,n) of each point for the vertices within BESIDE of it. A column sums to one, or to zero for a point deep in the
+    body."""
     near = tree.sparse_distance_matrix(cKDTree(vertices), BESIDE * spacing, output_type="coo_matrix").tocsr()
     near.data[:] = 1.0
     shares = near.multiply(1.0 / np.maximum(near.sum(axis=1), 1.0))

@@ -1,8 +1,8 @@
-"""The particle with our own two passes over points and pairs (`particle.compiled_kernels`), in the form that MACHDYN has.
+"""The particle with two compiled passes over points and pairs (`particle.compiled_kernels`), in the form of MACHDYN.
 
-LAMMPS keeps, integrates and distributes the points. Neighbours are those of the reference configuration for good, so that lists
-are made once. On several ranks LAMMPS brings x and vest of the neighbours' points; between the passes the ranks exchange
-F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
+LAMMPS stores, integrates and distributes the points. Neighbours are those of the reference configuration: lists are made once. With
+several ranks LAMMPS provides x and vest of neighbours on other ranks; between the passes the ranks exchange F, Q and the plastic
+strain of these points with fixed lists. No sum depends on the division of the points.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,24 +20,24 @@ from ..errors import SolverError
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
 from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides
-from .particle import Particle, PointState
+from .particle import DISTORTED, UNDEFINED_STRESS, Particle, PointState
 from .start import H
 
-KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
-THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
-RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
+KERNEL = -14.0323944878  # slope of the kernel in MACHDYN: W' = KERNEL (h - r)^2 / h^6
+THIRD = 0.333333333333  # value of the kernel in MACHDYN: W = -THIRD (h - r) W'
+RowsOfRanks = list[tuple[int, np.ndarray]]  # pairs of another rank and the rows that it gets or sends
 
 
 @dataclass(frozen=True)
 class CompiledPoints(PointState):
-    """F, R (n,9): deformation gradient and its rotation, row by row."""
+    """Points of a `CompiledParticle`. F, R (n,9): deformation gradient and its rotation, row by row."""
 
     F: Annotated[np.ndarray, Rows(9)]
     R: Annotated[np.ndarray, Rows(9)]
 
 
 class CompiledParticle(Particle):
-    """Deformation, stress and internal forces by compiled passes within LAMMPS's step (`pair_style zero`)."""
+    """Deformation, stress and internal forces by compiled passes within the step of LAMMPS (`pair_style zero`)."""
 
     PAIR = "pair_compiled.lmp"
     POINTS: ClassVar[type[PointState]] = CompiledPoints
@@ -66,23 +66,23 @@ class CompiledParticle(Particle):
         self._heat, self._failed = np.zeros(self.n), np.full(PARTS, -1)
 
     def _list_neighbours(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """List the sides of each point, ascending by the points' numbers in the whole particle. Returns points, r0, w and W of the
-        pairs, see `model.Pairs`, in the same order."""
+        """List the sides of each point, in the order of the points' numbers in the whole particle. Returns points, r0, w and W of
+        the pairs (`model.Pairs`), in the same order."""
         n, X, tag, h = self.n, self._motion.X, self._tag, self._scheme.h
         pairs = cKDTree(X).query_pairs(1.12 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
         pairs = pairs[(pairs < n).any(axis=1)]
         pairs = np.where((tag[pairs[:, 0]] < tag[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
         d = X[pairs[:, 1]] - X[pairs[:, 0]]
         r0 = np.sqrt((d * d).sum(axis=1))
-        after = self.total + 1  # by two numbers at once, a quarter of the time of lexsort
+        after = self.total + 1  # one key from two numbers takes a quarter of the time of lexsort
         order = np.argsort(tag[pairs[:, 0]] * after + tag[pairs[:, 1]])
         order = order[self._are_neighbours(pairs, r0)[order]]
         pairs, r0 = pairs[order], r0[order]
         slope = KERNEL * np.maximum(h - r0, 0.0) ** 2 / h**6
         W = np.float32(-THIRD * (h - r0) * slope).astype(float)
-        w = np.float32(slope).astype(float) / r0  # MACHDYN keeps both in single precision
+        w = np.float32(slope).astype(float) / r0  # MACHDYN stores both in single precision
 
-        # each pair is seen from both its points, where they are here
+        # each pair has a side for each of its points on this rank
         point, other = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
         row = np.concatenate([np.arange(len(pairs)), ~np.arange(len(pairs))])
         order = np.argsort(point * after + tag[other])
@@ -95,8 +95,7 @@ class CompiledParticle(Particle):
         return pairs, r0, w, W
 
     def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Weights (sides,3) 1/m of the neighbours of each point, at d (sides,3) m from it: the gradient of a field u is the sum of
-        (u_j - u_i) weight."""
+        """Gradient weights (sides,3) 1/m of the neighbours at d (sides,3) m from each point: grad u = sum of (u_j - u_i) weight."""
         K = [np.bincount(self._point, w * d[:, a] * d[:, b], self.n) for a in range(3) for b in range(3)]
         stretch, axes = np.linalg.eigh(np.stack(K, axis=1).reshape(-1, 3, 3))
         is_seen = np.abs(self.volume_of_point * stretch) > 1e-16
@@ -105,11 +104,11 @@ class CompiledParticle(Particle):
         return w[:, None] * np.einsum("kij,kj->ki", K_inverse[self._point], d)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
-        """Which of the pairs (k,2) of rows at the distances r0 (k,) m interact (k,)."""
+        """Mask (k,) of the pairs (k,2) of rows, at distances r0 (k,) m, that interact."""
         return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
-        """List the rows that are sent to and received from each rank between the passes."""
+        """List the rows that each rank gets and sends between the passes."""
         self._sends, self._receives = _by_rank([]), _by_rank([])
         if self.comm.size == 1:
             return
@@ -125,7 +124,7 @@ class CompiledParticle(Particle):
         self._sends, self._receives = _by_rank([row_of[ids] for ids in asked]), _by_rank(wanted)
 
     def _list_pairs(self, points: np.ndarray, r0: np.ndarray, w: np.ndarray, W: np.ndarray) -> Pairs:
-        """The pairs, with the rows of both sides and the gradients there, those of other ranks' points too."""
+        """The pairs, with the rows of both sides and their gradients, also for points of other ranks."""
         s, n = self._sides, len(self._sides.neighbour)
         sides, seconds = np.zeros((len(points), 2), np.int64), s.pair < 0
         sides[s.pair[~seconds], 0], sides[~s.pair[seconds], 1] = np.flatnonzero(~seconds), np.flatnonzero(seconds)
@@ -161,29 +160,30 @@ class CompiledParticle(Particle):
         )
 
     def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
-        """Pass 1 in all threads. failed (PARTS,): the first point that fails of each part is written."""
+        """Pass 1 in all threads. Writes the first point that fails in each part to failed (PARTS,)."""
         together(k.stress_of_all, self.n, failed, of_points)
 
     def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
-        """Pass 2 in all threads, and the sums of the forces."""
+        """Pass 2 and the sums of the forces, in all threads."""
         together(k.forces_of_all, self.n, (*of_pairs, self._force), of_sum)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """`Particle.run`; the plastic strain of the chunk of steps adds to its gradient, where that hardens the metal."""
+        """`Particle.run`. The plastic strain of the chunk of steps adds to its gradient, if the gradient hardens the metal."""
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
         before = self.points.eps_p.copy()
         try:
             super().run(steps, dt, on_step)
-        finally:  # other ranks count on this one
+        finally:  # other ranks wait for this exchange, also after a failure here
             grown = np.zeros(len(self._tag))
             grown[: self.n] = self.points.eps_p - before
             self._swap(self._sends, self._receives, grown[:, None])
             k.grow_gradients(self.n, grown, self._sides, self._deformation, self.points.eps_gradient)
 
     def _end_chunk(self) -> None:
-        """Book plastic work and losses of the chunk of steps, and turn the losses into heat of the points where the law says so."""
+        """Add plastic work and losses of the chunk of steps to the sums, and heat the points by the losses if the law has
+        `dissipation`."""
         plastic = self.volume_of_point * float(self.points.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
@@ -194,12 +194,12 @@ class CompiledParticle(Particle):
             self.warm(self._heat)
 
     def _skip_step(self) -> None:
-        """Exchange the data of other ranks' points that pass 2 needs."""
+        """Exchange the data that pass 2 needs of points on other ranks."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
-        """Send rows of arrays (k, ...) to other ranks, and write those that come from there."""
+        """Send rows of arrays (k, ...) to other ranks, and write the rows that arrive from there."""
         if not (sends or receives):
             return
         widths = np.cumsum([0] + [array.shape[1] for array in arrays])
@@ -214,11 +214,8 @@ class CompiledParticle(Particle):
                 array[rows] = box[:, widths[i] : widths[i + 1]]
 
     def _refuse(self, point: int) -> None:
-        if np.isfinite(self.points.J[point]):
-            text = f"point {self.ids[point]} was distorted beyond what the kernel can follow"
-        else:
-            text = f"the stress at point {self.ids[point]} is no longer a number"
-        raise SolverError(self._failure(text, point))
+        is_finite = np.isfinite(self.points.J[point])
+        raise SolverError(self._failure(DISTORTED if is_finite else UNDEFINED_STRESS, point))
 
     def _strain(self) -> np.ndarray:
         strain = np.empty((self.n, 6))
@@ -242,5 +239,5 @@ class CompiledParticle(Particle):
 
 
 def _by_rank(rows: Sequence[np.ndarray]) -> RowsOfRanks:
-    """The rows of each rank, less those of ranks that have none."""
+    """Pairs of a rank and its rows, for ranks that have rows. rows: of each rank."""
     return [(rank, own) for rank, own in enumerate(rows) if len(own)]

@@ -1,11 +1,11 @@
 """Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then forces of each pair.
 
 The letters are those of the equations (Ganzenmueller 2015, Comput. Methods Appl. Mech. Eng. 286, 87-106): X, x reference and
-present positions; V volume; g_ij = w K^-1 (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i|, K = sum_j w (X_j - X_i) (x) (X_j - X_i);
-F = sum_j (x_j - x_i) (x) g_ij and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated Cauchy stress.
+present positions; V volume; g_ij = w K^-1 (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i|, K = sum_j w (X_j - X_i) (x) (X_j -
+X_i); F = sum_j (x_j - x_i) (x) g_ij and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated Cauchy stress.
 
-Each kernel works on a range [lo, hi) of points or of pairs and writes only its own rows: any split of the range over threads
-gives the same numbers to the last bit. The arrays are those of `particle.model`. SI units.
+Each kernel works on a range [lo, hi) of points or of pairs and writes only its own rows: any division among threads gives the same
+numbers to the last bit. `particle.model` describes the arrays. SI units.
 """
 
 from math import sqrt
@@ -30,20 +30,20 @@ from ..physics.constitutive import Law, harden, hugoniot_pressure, mie_gruneisen
 from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides, State
 
 LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
-TURNED = 1e-14  # rad: the rotation is exact to rounding
-NEAR = 1e-8  # rad: it is after this correction, for the next would be of the square
-FAR = 0.3  # rad: a rotation farther from the last one is sought by Newton's iteration of the polar decomposition
+TURNED = 1e-14  # rad: with a smaller correction the rotation is exact to rounding
+NEAR = 1e-8  # rad: after a smaller correction the rotation is exact to rounding: the next one would be about its square
+FAR = 0.3  # rad: for a larger first correction the iteration restarts from Newton's polar decomposition
 J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
-PLASTIC = 1e-3  # effective plastic strain of LAMMPS beyond which MACHDYN's hourglass control is viscous
-LEAST_ERROR = 0.05  # hourglass error that the viscous control assumes at the least
-SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at the most
+PLASTIC = 1e-3  # effective plastic strain of LAMMPS above which MACHDYN's hourglass control is viscous
+LEAST_ERROR = 0.05  # smallest hourglass error in the viscous control
+SLOW = 0.01  # largest closing velocity in the viscosity, over the wave speed
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
-    """Rotation of F = R U and the stretch U, from the rotation of the step before.
+    """Rotation R and stretch U of F = R U, by iteration from the rotation R of the last step.
 
-    A = R^T F, S = sym A: (tr(S) 1 - S) omega is the axial vector of A, and R <- R Cayley(omega) until omega vanishes.
+    With A = R^T F and S = sym A, omega solves (tr(S) 1 - S) omega = axial vector of A. R <- R Cayley(omega) until omega vanishes.
     """
     A = product(transposed(R), F)
     for sweep in range(30):
@@ -85,7 +85,7 @@ _inlined = njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING, err
 
 @_inlined
 def gradient_of(i: int, s: Sides, u: Floats) -> Matrix:
-    """Reference gradient of a field u (N,3) at a point: sum over j of (u_j - u_i) (x) g_ij."""
+    """Reference gradient of a field u (N,3) at point i: sum over j of (u_j - u_i) (x) g_ij."""
     F = ZERO
     for k in range(s.first[i], s.first[i + 1]):
         F = add_outer(F, apart(u, i, s.neighbour[k]), vector_of(s.gradient, k))
@@ -94,7 +94,7 @@ def gradient_of(i: int, s: Sides, u: Floats) -> Matrix:
 
 @_inlined
 def trial(stress: Floats, i: int, c: float, L: Matrix) -> Symmetric:
-    """Deviator of the stress of a point plus c times that of sym L, xx xy xz yy yz zz."""
+    """Trial deviator of point i, xx xy xz yy yz zz: deviator of its stress plus c times the deviator of sym L."""
     mean_rate = (L[0] + L[4] + L[8]) / 3.0
     mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
     return (
@@ -112,8 +112,8 @@ def squared(S: Symmetric) -> float:
 
 @_inlined
 def flow(i: int, law: Law, S: Symmetric, square: float, sigma_y: Floats) -> tuple[Symmetric, float, float]:
-    """Return a trial deviator S, with its residuals S : S = square, to the yield stress of the step before: what S becomes, by which
-    factor, and the plastic strain."""
+    """Radial return of a trial deviator S to the yield stress of the last step. square: S : S, including residuals. Returns the new
+    deviator, its ratio to S, and the increment of plastic strain."""
     q, sy = sqrt(1.5 * square), sigma_y[i]
     deps, back = 0.0, 1.0
     if q > sy:
@@ -124,10 +124,8 @@ def flow(i: int, law: Law, S: Symmetric, square: float, sigma_y: Floats) -> tupl
 
 @_inlined
 def harden_and_press(i: int, dt: float, law: Law, J: float, deps: float, a: State) -> float:
-    """Move the plastic state and the pressure of a point on; the mean stress.
-
-    That is the Hugoniot of n+1, and the rest of the pressure of n.
-    """
+    """Update the plastic state and the pressure of point i. Returns the mean stress: Hugoniot pressure of n+1 and thermal pressure
+    of n."""
     mean = -hugoniot_pressure(law, J)
     if on(law.Gamma0) and law.Gamma0 > 0.0:
         mean += (hugoniot_pressure(law, a.J[i]) - a.p[i]) * a.J[i] / J
@@ -146,7 +144,7 @@ def harden_and_press(i: int, dt: float, law: Law, J: float, deps: float, a: Stat
 
 @_inlined
 def write_stress(stress: Floats, i: int, S: Symmetric, mean: float) -> Symmetric:
-    """stress[i] = S + mean."""
+    """stress[i] = S + mean. Returns it."""
     sigma = S[0] + mean, S[1], S[2], S[3] + mean, S[4], S[5] + mean
     for k in range(6):
         stress[i, k] = sigma[k]
@@ -159,8 +157,8 @@ def stress_points(
 ) -> int:
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
-    Q receives -V J R sigma U^-1. A point fails where J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator returns to the yield stress
-    of the step before, and the heat in the pressure lags by one step.
+    Q receives -V J R sigma U^-1. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator returns to the yield stress
+    of the last step, and the thermal pressure lags by one step.
     """
     law, failed = laws[0], -1
     for i in range(lo, hi):
@@ -186,7 +184,7 @@ def stress_points(
 
 @_inlined
 def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector) -> Vector:
-    """f + Q_j g_ji - Q_i g_ij of pair k."""
+    """f + Q_j g_ji - Q_i g_ij for pair k."""
     g = gradient[k]
     return (
         f[0] + Q[j, 0] * g[3] + Q[j, 1] * g[4] + Q[j, 2] * g[5] - (Q[i, 0] * g[0] + Q[i, 1] * g[1] + Q[i, 2] * g[2]),
@@ -197,8 +195,7 @@ def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector)
 
 @_inlined
 def viscosity(scheme: Scheme, w: float, r0: float, r: float, approach: float) -> tuple[float, float, float]:
-    """Of two points that come closer at `approach` = dx . dv (m2/s): the viscous force (N), the slope W' m^2 / rho by which
-    MACHDYN's terms are weighed, and mu."""
+    """Viscous force (N) between two points, the factor W' m^2 / rho of MACHDYN's forces, and mu. approach: dx . dv, m2/s."""
     soft = 1.0 / (r + 0.1 * scheme.h)
     mu = scheme.h * min(max(approach * soft, -SLOW * scheme.c), SLOW * scheme.c) * soft
     slope = (scheme.rho * scheme.V) ** 2 / scheme.rho * w * r0
@@ -209,7 +206,7 @@ def viscosity(scheme: Scheme, w: float, r0: float, r: float, approach: float) ->
 def hourglass(
     scheme: Scheme, W: float, r0: float, r: float, x: Vector, e: Vector, is_plastic: bool, slope: float, mu: float
 ) -> float:
-    """MACHDYN's force (N) against the hourglass error e (m) of a pair: viscous where the metal flows, else elastic."""
+    """MACHDYN's force (N) against the hourglass error e (m) of a pair: viscous in plastic flow, else elastic."""
     along = dot(e, x)
     if is_plastic:
         if not mu * along < 0.0:
@@ -221,15 +218,15 @@ def hourglass(
 
 @_inlined
 def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """x . v_half of n and of n+1 (m2/s), of the last step of a chunk with the half step after it."""
+    """x . v_half (m2/s) at n and at n+1; in the last step of a chunk the value at n+1 includes the half step after it."""
     now = dot(x, v_half)
-    before = now - dt * dot(v_half, v_half)  # x_j - x_i of n is that of n+1 less dt v
+    before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
     return before, now + dot(x, v) if is_last else now
 
 
 @_inlined
 def lose(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> None:
-    """Book the work of a force, dt (f_n + f_n+1) / 2 . v_n+1/2, as the leapfrog exchanges energy."""
+    """Add the work of a force in a leapfrog step, dt (f_n + f_n+1) / 2 . v_n+1/2, to the losses of pair k."""
     losses.work[k, kind] += 0.5 * dt * (losses.strength[k, kind] * before + strength * now)
     losses.strength[k, kind] = strength
 
@@ -238,10 +235,10 @@ def lose(k: int, kind: int, dt: float, strength: float, before: float, now: floa
 def pair_forces(
     lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses, force: Floats,
 ) -> None:  # fmt: skip
-    """Pass 2: the force (N) on the first point of each pair, force (m,3); on the second it is the opposite.
+    """Pass 2: the force on the first point of each pair, force (m,3) N; the force on the second point is opposite.
 
-    f = Q_j g_ji - Q_i g_ij + viscosity + hourglass, the last two along x_j - x_i. The hourglass error is
-    (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: of a chunk of steps, whose forces also act in the half step after it.
+    f = Q_j g_ji - Q_i g_ij + viscosity + hourglass control, the last two along x_j - x_i. The hourglass error is
+    (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half step after it.
     """
     for k in range(lo, hi):
         i, j = p.points[k, 0], p.points[k, 1]
@@ -267,10 +264,10 @@ def pair_forces(
 
 @njit(cache=True, nogil=True)
 def grow_gradients(n: int, grown: Floats, s: Sides, d: Deformation, eps_gradient: Floats) -> None:
-    """Add the gradient of the plastic strain of a chunk of steps to that of n points, eps_gradient (n,3) 1/m.
+    """Add the gradient of the plastic strain of a chunk of steps to eps_gradient (n,3) 1/m of n points.
 
-    grown (N,): that strain. In the present place, R^T F^-T = U^-1, and in the unrotated frame, in which it stays: as Huang et al.
-    (2004) integrate it.
+    grown (N,): plastic strain of the chunk. The gradient is taken in the current configuration and stored in the unrotated frame,
+    R^T F^-T = U^-1, as Huang et al. (2004) integrate it.
     """
     for i in range(n):
         a = b = c = 0.0
@@ -284,7 +281,7 @@ def grow_gradients(n: int, grown: Floats, s: Sides, d: Deformation, eps_gradient
 
 @njit(cache=True, nogil=True)
 def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
-    """Green-Lagrange strain (n,6), xx yy zz xy xz yz, of deformation gradients F (n,9)."""
+    """Write the Green-Lagrange strain of deformation gradients F (n,9) to strain (n,6), xx yy zz xy xz yz."""
     for i in range(lo, hi):
         f = F[i]
         strain[i, 0] = 0.5 * (f[0] * f[0] + f[3] * f[3] + f[6] * f[6] - 1.0)
@@ -297,8 +294,8 @@ def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def share_losses(team: Ints, n: int, s: Sides, losses: Losses, heat: Floats, sums: Floats) -> None:
-    """Half the loss of each pair to each of its points in all threads: heat (n,) J is written, and sums (PARTS,2) J, part by part, by
-    viscosity and by hourglass control. The losses begin again from zero."""
+    """Give half the loss of each pair to each of its points, in all threads. Writes heat (n,) J, and adds to sums (PARTS,2) J, part
+    by part, the losses by viscosity and by hourglass control. The losses restart from zero."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         for i in range(lo, hi):
             viscous = control = 0.0
@@ -316,7 +313,7 @@ def share_losses(team: Ints, n: int, s: Sides, losses: Losses, heat: Floats, sum
 
 @njit(cache=True, nogil=True)
 def sum_forces(lo: int, hi: int, s: Sides, force: Floats, f: Floats) -> None:
-    """Sum of the forces of each point's pairs: f (n,3) is written."""
+    """Write the sum of the pair forces on each point to f (n,3)."""
     for i in range(lo, hi):
         f0 = f1 = f2 = 0.0
         for k in range(s.first[i], s.first[i + 1]):
@@ -335,14 +332,14 @@ def sum_forces(lo: int, hi: int, s: Sides, force: Floats, f: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
-    """`stress_points` of n points in all threads; failed (PARTS,): the first point that fails of each part, or -1."""
+    """`stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         failed[part] = stress_points(lo, hi, *of_points)
 
 
 @njit(cache=True, nogil=True)
 def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
-    """`pair_forces` of all pairs, and `sum_forces` of n points, in all threads."""
+    """`pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, len(of_pairs[-1]), LEAST_PAIRS):
         pair_forces(lo, hi, *of_pairs)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

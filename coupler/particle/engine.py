@@ -1,4 +1,4 @@
-"""The engines of a particle, by the names that scenes give them."""
+"""The engines of a particle, by their names in scenes."""
 
 from .compiled import CompiledParticle
 from .enriched import EnrichedParticle
@@ -13,5 +13,5 @@ ENGINES: dict[str, type[Particle]] = {
 
 
 def engine(name: str, numerics: Numerics) -> type[Particle]:
-    """The class of a particle of this engine with these numerics: with hourglass control the enriched scheme is the compiled one."""
+    """The particle class of an engine. With hourglass control (`numerics.control`) the enriched engine is the compiled one."""
     return CompiledParticle if name == "enriched" and numerics.control else ENGINES[name]

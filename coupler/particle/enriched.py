@@ -1,18 +1,17 @@
-"""The particle with sub-cell deformation: what F does not see of the neighbours resists and flows like the metal.
+"""The particle with sub-cell deformation: the part of the motion of neighbours that F does not describe is elastic and plastic as
+the metal.
 
-Two changes of the scheme of `particle.compiled`, with which it has no hourglass control:
+Two changes to the scheme of `particle.compiled` replace its hourglass control:
 
 - *Residuals*. e_ij = R_i^T (x_j - x_i - F_i (X_j - X_i)) is zero for a linear field. Its elastic part e has the energy
-  V G ACROSS / 2 sum_j omega_ij e^2 / r_ij^2, omega_ij = w_ij r_ij^2 / sum_j w_ij r_ij^2: that of the deviatoric strain within the
-  cell of a point. Deviator and residuals form one yield condition and return to it by one factor; the work is
-  plastic work of the point. So a pattern of
-  zero energy cannot live, a linear field is not resisted, and angular momentum is kept to rounding.
-- *Gradients at the rim*. Where neighbours lie on one side only, least squares put a gradient not at the point but
-  inside the body, so
-  that a plate is too soft in bending. There the gradient is that of a quadratic fit, over the second layer of neighbours too. It
-  is exact for linear fields, and with little ridge for quadratic ones.
+  V G ACROSS / 2 sum_j omega_ij e^2 / r_ij^2, omega_ij = w_ij r_ij^2 / sum_j w_ij r_ij^2: the energy of the deviatoric strain within the
+  cell of a point. Deviator and residuals form one yield condition and return to it by one factor; their dissipation is plastic work of
+  the point. There are no zero-energy modes, a linear field is not resisted, and angular momentum is conserved to rounding.
+- *Gradients at the rim*. If all neighbours lie on one side, a linear fit gives the gradient inside the body, not at the point, and a
+  plate is too soft in bending. There the gradient comes from a quadratic fit that includes the second layer of neighbours. It is exact
+  for linear fields, and nearly exact for quadratic ones.
 
-The rate of deformation is that of the stretch U between n and n+1: a rotation strains nothing, and central differences conserve the
+The strain increment follows from the stretch U at n and n+1: a rotation causes no strain, and central differences conserve the
 energy of elastic waves.
 """
 
@@ -35,18 +34,19 @@ from .inertia import CellInertia
 from .model import Residuals
 from .particle import LocalState
 
-MOST_SIDES = 18  # neighbours of a point at the most: the two nearest layers of a face-centred cubic lattice
-SECOND_LAYER = 1.65  # spacings: reach of the neighbours of points at the rim
-FIT_REACH = 1.9  # spacings: where the weight of the quadratic fit ends
-FITTED = 2000  # rim points whose gradients are fitted at a time
-RIDGE = 0.05  # on the second derivatives of that fit, for points with few neighbours
-SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is that of a rim
+MOST_SIDES = 18  # largest number of neighbours: the two nearest layers of a face-centred cubic lattice
+SECOND_LAYER = 1.65  # spacings: largest distance of a neighbour of a rim point
+FIT_REACH = 1.9  # spacings: distance at which the weight of the quadratic fit is zero
+FITTED = 2000  # rim points fitted at a time, which limits the memory of their matrices
+RIDGE = 0.05  # ridge parameter of the second derivatives in the fit, for points with few neighbours
+SYMMETRIC = 1e-6  # relative third moment of the neighbours: a point with a larger one lies at the rim
 
 
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
-    """unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their plastic parts, neighbours in the order of
-    their numbers, written by `state`. mode (n,3) s: motion of the highest frequency, as long as the step at which it is unstable."""
+    """Points of an `EnrichedParticle`. unseen (n,) J/m3: elastic energy of the residuals; bend (n, 3 MOST_SIDES) m: their plastic
+    parts, in the order of the neighbours' numbers, written by `state`; mode (n,3) s: mode of the highest frequency, its norm is the
+    step at which it becomes unstable."""
 
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
@@ -54,7 +54,7 @@ class EnrichedPoints(CompiledPoints):
 
 
 class EnrichedParticle(CompiledParticle):
-    """Points with residuals, and quadratic gradients at the rim; see the module."""
+    """A particle with residuals, and with quadratic fits of gradients at the rim (see the module)."""
 
     POINTS = EnrichedPoints
     points: EnrichedPoints
@@ -99,15 +99,13 @@ class EnrichedParticle(CompiledParticle):
         basis = np.stack([x, y, z, x * x, y * y, z * z, y * z, x * z, x * y], axis=1)
         ridge = np.diag([0.0] * 3 + [RIDGE] * 6)
         rim, first = np.flatnonzero(self._rim[: self.n]), first.astype(np.int64)
-        for points in np.array_split(rim, len(rim) // FITTED + 1):  # so many at a time, for their matrices' memory
+        for points in np.array_split(rim, len(rim) // FITTED + 1):
             if not len(points):
                 continue
             counts = first[points + 1] - first[points]
             start = np.cumsum(counts) - counts
-            of, side = (
-                np.repeat(np.arange(len(points)), counts),
-                np.arange(counts.sum()) + np.repeat(first[points] - start, counts),
-            )
+            of = np.repeat(np.arange(len(points)), counts)
+            side = np.arange(counts.sum()) + np.repeat(first[points] - start, counts)
             weighted = basis[side] * weight[side, None]
             A = np.add.reduceat(weighted[:, :, None] * basis[side, None, :], start) + ridge
             fit = np.einsum("sij,sj->si", np.linalg.pinv(A)[of, :3], weighted)
@@ -131,11 +129,11 @@ class EnrichedParticle(CompiledParticle):
             self.points.f[:] = total - self.f_ext
 
     def stable_dt(self) -> float:
-        """Largest stable time step in s, by the highest frequency of the points (`particle.frequency`).
+        """Largest stable time step in s, from the highest frequency of the points (`particle.frequency`).
 
-        Raises SolverError as in the other schemes.
+        Raises SolverError as `Particle.stable_dt`.
         """
-        # of all ranks together, before one of them raises
+        # all ranks take part in the iteration, before one of them can raise
         if self.numerics.inertia > 0.0:
             self._inertia.weigh(self.points.F, self.points.J)
         longest = self._frequency.longest_step(self._deformation.F, self.points.J, self.points.mode)
@@ -157,7 +155,7 @@ class EnrichedParticle(CompiledParticle):
 
 
 def _one_sided(X: np.ndarray, h: float) -> np.ndarray:
-    """Which points (n,) of X (n,3) m have neighbours within h m whose third moment does not vanish."""
+    """Mask (n,) of the points X (n,3) m at the rim: the third moment of their neighbours within h m does not vanish."""
     pairs = cKDTree(X).query_pairs(h, output_type="ndarray")
     d = (X[pairs[:, 1]] - X[pairs[:, 0]]) / h
     weight = (1.0 - np.sqrt((d * d).sum(axis=1))) ** 2

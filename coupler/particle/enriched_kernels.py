@@ -37,14 +37,14 @@ from .compiled_kernels import (
 )  # fmt: skip
 from .model import Deformation, Losses, Motion, Pairs, Residuals, Scheme, Sides, State
 
-ACROSS = 10.0 / 9.0  # shear stiffness of a residual over G: 1 across a pair, 4/3 along it, in the mean over directions
+ACROSS = 10.0 / 9.0  # stiffness of a residual over G: mean over directions of 1 across a pair and 4/3 along it
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def _strain_residuals(
     i: int, s: Sides, m: Motion, F: Matrix, R: Matrix, plastic: Floats, residual: Floats
 ) -> tuple[float, float]:
-    """The elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of a point, m, into rows of residual.
+    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of point i to rows of residual, m.
 
     Returns sum w e^2 / sum w r^2, and sum w r^2 (1/m3).
     """
@@ -68,10 +68,10 @@ def _strain_residuals(
 def _residual_forces(
     i: int, s: Sides, X: Floats, R: Matrix, back: float, stiffness: float, plastic: Floats, residual: Floats
 ) -> tuple[Matrix, float, float, float]:
-    """Return elastic residuals by the factor `back` of the deviator, and turn them into forces.
+    """Return the elastic residuals of point i by the factor `back` of the deviator, and compute their forces.
 
-    plastic grows; residual: elastic residuals of the trial in m, on return forces stiffness w R e in N. Returns
-    sum f (x) (X_j - X_i), minus the derivative of their energy by F, and the moment sum e_p x f of the unrotated forces.
+    plastic: plastic residuals, updated; residual: trial residuals in m, replaced by forces stiffness w R e in N. Returns
+    sum f (x) (X_j - X_i), which is minus the derivative of their energy by F, and the moment sum e_p x f of the unrotated forces.
     """
     H = ZERO
     t0 = t1 = t2 = 0.0
@@ -102,10 +102,10 @@ def _residual_forces(
 def stress_points(
     lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, sides: Sides, m: Motion, d: Deformation, state: State, r: Residuals,
 ) -> int:  # fmt: skip
-    """`compiled_kernels.stress_points` with residuals; the strain increment is that of U from n to n+1, not of v.
+    """`compiled_kernels.stress_points` with residuals. The strain increment follows from U at n and n+1, not from v.
 
-    Deviator and residuals form one yield condition and return to it by one factor. Q receives -V J R sigma U^-1, and what balances the
-    forces of the residuals.
+    Deviator and residuals form one yield condition and return to it by one factor. Q receives -V J R sigma U^-1 plus the term that
+    balances the forces of the residuals.
     """
     law, failed = laws[0], -1
     for i in range(lo, hi):
@@ -116,7 +116,7 @@ def stress_points(
             failed = i
         write_matrix(d.F, i, F)
         write_matrix(d.R, i, R)
-        # dt Udot B at n+1/2, (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2: of the last term there is no deviator
+        # dt Udot B at n+1/2 is (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2; the last term has no deviator
         both, _ = inverse(sum_of(U, product(transposed(R_n), F_n)))
         S = trial(state.stress, i, 8.0 * law.G, product(U, both))
         unseen, span = _strain_residuals(i, sides, m, F, R, r.plastic, r.force)
@@ -140,7 +140,7 @@ def pair_forces(
     lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses, residual: Floats,
     force: Floats,
 ) -> None:  # fmt: skip
-    """`compiled_kernels.pair_forces` with the forces of the residuals of both sides in place of the hourglass control."""
+    """`compiled_kernels.pair_forces` with the forces of the residuals of both sides in place of hourglass control."""
     for k in range(lo, hi):
         i, j = p.points[k, 0], p.points[k, 1]
         x, v = apart(m.x, i, j), apart(m.v, i, j)
@@ -155,14 +155,14 @@ def pair_forces(
 
 @njit(cache=True, nogil=True)
 def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
-    """`stress_points` of n points in all threads; failed (PARTS,): the first point that fails of each part, or -1."""
+    """`stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         failed[part] = stress_points(lo, hi, *of_points)
 
 
 @njit(cache=True, nogil=True)
 def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
-    """`pair_forces` of all pairs, and `sum_forces` of n points, in all threads."""
+    """`pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, len(of_pairs[-1]), LEAST_PAIRS):
         pair_forces(lo, hi, *of_pairs)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

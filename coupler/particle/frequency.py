@@ -1,10 +1,10 @@
 """Stable time step of the points of the enriched scheme: their highest frequency by power iteration.
 
-The smallest principal stretch alone tells it badly: a point at the rim with few neighbours may be crushed and yet be slow, and
-one that is pressed from all sides is faster than its stretch says. As in `fe.stability` a few iterations with the linearised
-operator, started from the last vector with motion of the stiffest points stirred in, find the fastest mode. The operator is
-elastic: plastic flow only makes it softer; stress and viscosity (0.01 of critical damping) are
-left to the safety factor (`Numerics.frequency`).
+The smallest principal stretch is a poor estimate: a crushed point at the rim with few neighbours can have a low frequency, and a
+point compressed from all sides has a higher one than its stretch suggests. As in `fe.stability`, a few iterations with the
+linearised operator find the fastest mode. They start from the last vector plus a random motion of the stiffest points. The operator
+is elastic: plastic flow only reduces the frequency. The safety factor (`Numerics.frequency`) allows for stress and viscosity (0.01
+of critical damping).
 """
 
 from collections.abc import Callable
@@ -25,14 +25,14 @@ from .enriched_kernels import ACROSS
 from .model import Pairs, Sides
 
 Fetch = Callable[..., None]
-FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the chunk of steps before
+FIRST, NEXT = 40, 4  # iterations from a random vector, and from the vector of the last chunk of steps
 LEAST_POINTS = 2000  # in a range of a shared loop
-STIRRED = 0.3  # share of random motion in the vector that an iteration starts from
-GRID = 128.0  # steps are powers of 2^(1 / GRID): sums over ranks differ in their last bits, steps do not
+STIRRED = 0.3  # share of random motion in the first vector
+GRID = 128.0  # steps are powers of 2^(1 / GRID): so they do not depend on the last bits of sums over ranks
 
 
 class Small(NamedTuple):
-    """A small motion u (N,3), and what the operator makes of it: as of `model`, Q (N,9), residual (sides,3), force (pairs,3)."""
+    """A small motion u (N,3), and the response of the operator: Q (N,9), residual (sides,3), force (pairs,3), as in `model`."""
 
     u: Floats
     Q: Floats
@@ -42,7 +42,7 @@ class Small(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -> None:
-    """sum |F^-T g|^2 (1/m2) of each point over its gradients, into stiffness (n,): how stiff its cell is."""
+    """Write sum |F^-T g|^2 over the gradients of each point, a measure of the stiffness of its cell, to stiffness (n,) 1/m2."""
     for i in range(lo, hi):
         B, _ = inverse(matrix_of(F, i))
         total = 0.0
@@ -56,7 +56,7 @@ def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -
 def linear_stress(
     team: Ints, n: int, laws: Laws, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
 ) -> None:
-    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,): Q and residual of the small motion u of n points, into
+    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,): write Q and residual of the small motion u of n points to
     `small`, in all threads."""
     law = laws[0]
     G = law.G
@@ -90,7 +90,8 @@ def linear_stress(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, total: Floats) -> None:
-    """Pass 2 of `enriched_kernels` without viscosity: forces, into `small`, and their sums at n points, total (n,3), in all threads."""
+    """Pass 2 of `enriched_kernels` without viscosity: write forces to `small`, and their sums at n points to total (n,3), in all
+    threads."""
     for lo, hi, _ in ranges(team, 0, len(p.points), k.LEAST_PAIRS):
         for row in range(lo, hi):
             residual = apart(small.residual, p.sides[row, 1], p.sides[row, 0])
@@ -101,16 +102,15 @@ def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, tota
 
 
 class PointFrequency:
-    """Power iteration on the points of one rank, which take part together with those of the others."""
+    """Power iteration on the points of one rank, together with the points of all other ranks."""
 
     def __init__(
         self, law: Laws, volume: float, sides: Sides, pairs: Pairs, X: np.ndarray, count: int, random: np.ndarray,
         gather: Callable[[float], list[float]], fetch: Fetch, slow: Callable[[np.ndarray], None],
     ):  # fmt: skip
-        """law (1,); volume m3 of each point; X (N,3) m; count: of sides, with those of other ranks; random (n,3): random motion of the
-        points. gather(number): that of each rank with points. fetch(points, sides): bring rows of points (N,k), and of sides (count,3)
-        where they are given, from other ranks.
-        slow(forces (n,3) N): `inertia.CellInertia.slow`."""
+        """law (1,): LAW record; volume m3: of each point; X (N,3) m; count: number of sides, including those of other ranks; random
+        (n,3): random motion of the points; gather(number): the numbers of all ranks with points; fetch(points, sides): get rows of
+        points (N,k), and of sides (count,3) if given, from other ranks; slow(forces (n,3) N): `inertia.CellInertia.slow`."""
         self._slow = slow
         self._law, self._volume, self._sides, self._pairs, self._X = law, volume, sides, pairs, X
         self._random = random
@@ -123,11 +123,10 @@ class PointFrequency:
         self._f, self._stiffness = np.zeros((n, 3)), np.zeros(n)
 
     def longest_step(self, F: np.ndarray, J: np.ndarray, mode: np.ndarray) -> float:
-        """The step in s at which the points of all ranks become unstable, NaN where there is none.
+        """The step in s at which the points of all ranks become unstable, NaN if the frequency is not finite.
 
-        F (N,9), J (n,): deformation gradients and volume ratios. mode (n,3) s: the vector of the chunk before, as long as its result,
-        zero at the beginning; the new one is written. While the step falls, that of the end of the next chunk is returned,
-        extrapolated from the last two.
+        F (N,9), J (n,): deformation gradients and volume ratios; mode (n,3) s: vector of the last chunk, with its step as norm, zero at
+        the start; updated. While the step decreases, the returned step is extrapolated from the last two to the end of the next chunk.
         """
         share(lambda lo, hi: stiffness_points(lo, hi, self._sides, F, self._stiffness), len(J), LEAST_POINTS)
         largest = max(self._gather(float(self._stiffness.max(initial=0.0))))
@@ -154,7 +153,7 @@ class PointFrequency:
         return float(np.sqrt(sum(self._gather(float(np.einsum("ij,ij->", a, a))))))
 
     def _accelerate(self, F: np.ndarray, J: np.ndarray) -> None:
-        """Turn the small motion u of the points into minus the accelerations that it makes."""
+        """Replace the small motion u of the points by minus the accelerations that it causes."""
         n, small = len(J), self._small
         self._fetch(small.u)
         together(linear_stress, n, self._law, self._volume, self._sides, self._X, F, J, small)

@@ -1,15 +1,15 @@
 """Heat conduction among the points of the particle: Fourier's law with the fixed reference neighbours.
 
-Gradients in the reference configuration are moving least squares over the neighbours, g = G T, exact for any linear
-field at the free surface too; so is the deformation gradient F = G x. Conduction in the deformed body is conduction in the
-reference one with the conductivity k J F^-1 F^-T, and the heat that flows into points is minus the derivative of
+Gradients in the reference configuration, g = G T, are moving least squares over the neighbours. They are exact for linear fields,
+also at the free surface; so is the deformation gradient F = G x. Conduction in the deformed body is conduction in the reference
+body with the conductivity k J F^-1 F^-T. The heat flow into the points is minus the derivative of
 
     sum V g . (k J F^-1 F^-T) g / 2  +  sum c (R T)^2 / 2.
 
-The first term is zero for a field that alternates from point to point; the second is not: R T is the temperature of a point
-less the estimate from its neighbours and their gradient. It is zero for a linear field, so its contribution falls with the
-square of the spacing. Both terms are sums of squares: their derivatives conserve heat to rounding and only reduce differences
-of temperature. The surface is adiabatic.
+The second term damps fields that alternate from point to point, for which the first term is zero. R T is the temperature of a point
+less its estimate from the neighbours and their gradient. It is zero for a linear field, so that its contribution falls with the
+square of the spacing. Both terms are sums of squares: conduction conserves heat to rounding and only reduces differences of
+temperature. The surface is adiabatic.
 """
 
 from math import ceil
@@ -23,11 +23,11 @@ from ..core.threads import together
 from ..geometry.points import points_near
 from . import heat_kernels as k
 
-LEAST = 11  # points that a gradient is fitted to, itself among them
+LEAST = 11  # smallest number of points in the fit of a gradient, including the point itself
 
 
 class PointConduction:
-    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing m; volume (n,) m3; law: LAW (1,)."""
+    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing m; volume (n,) m3; law (1,): LAW record."""
 
     def __init__(self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray):
         n, near = len(X), points_near(cKDTree(X), X, k.SUPPORT * spacing, LEAST, LEAST)
@@ -45,9 +45,9 @@ class PointConduction:
         self._flow = k.Conduction(volume, reach, D, kD, c, capacity, np.zeros((n, 4)), T, gained)
 
     def share(self, time: float, x: np.ndarray, T: np.ndarray) -> np.ndarray:
-        """Heat (n,) J that points gain by conduction over `time` s at positions x (n,3) m from temperatures T (n,) K.
+        """Heat (n,) J that points gain by conduction over `time` s. x (n,3) m: positions; T (n,) K: temperatures before.
 
-        Explicit steps, as many as stability needs. The sum over the points is zero to rounding.
+        Explicit steps, as many as stability requires. The sum over all points is zero to rounding.
         """
         n, left, flow, operators = len(T), time, self._flow, (self.operators, self._transposed)
         flow.T[:], flow.gained[:] = T, 0.0

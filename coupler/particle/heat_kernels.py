@@ -1,4 +1,4 @@
-"""Passes of the conduction among points (`particle.heat`), over ranges [lo, hi) of points (numba).
+"""Kernels of the conduction among points (`particle.heat`), over ranges [lo, hi) of points (numba).
 
 D, kD: symmetric tensors xx yy zz yz xz xy. SI units.
 """
@@ -14,14 +14,14 @@ from ..geometry.vector_kernels import apart, dot
 from ..physics.constitutive import conductivity, heat_capacity
 
 LEAST_POINTS = 200  # in a range of a loop that threads share
-SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
+SUPPORT = 1.6  # spacings: the 12 nearest and 6 second neighbours of a face-centred cubic lattice (nearest at 1.12)
 SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2
 LEAST_J = 0.1  # volume ratio: a smaller one is an error of the gradient
 
 
 class Operators(NamedTuple):
-    """G (x, y, z, 1/m) and R of `heat.PointConduction`, or their transposed: those of row i are weights[start[i]:start[i + 1]] (m,4) of
-    the points `columns` (m,)."""
+    """The matrices G (x, y, z, 1/m) and R of `heat.PointConduction`, or their transposes, in compressed rows: row i has the weights
+    weights[start[i]:start[i + 1]] (m,4) for the points columns[start[i]:start[i + 1]]."""
 
     start: Ints
     columns: Ints
@@ -29,8 +29,8 @@ class Operators(NamedTuple):
 
 
 class Conduction(NamedTuple):
-    """Of points (n,): volume m3; reach (n,4): sums of the absolute weights of each row of G and R; D (n,6) m3: V J F^-1 F^-T; kD (n,6)
-    W m/K; c W/K and capacity J/K; q (n,4): kD G T and c R T; T K; gained J."""
+    """Arrays of n points. volume m3; reach (n,4): sums of the absolute weights in each row of G and R; D (n,6) m3: V J F^-1 F^-T;
+    kD (n,6) W m/K; c W/K; capacity J/K; q (n,4): kD G T and c R T; T K; gained J: heat."""
 
     volume: Floats
     reach: Floats
@@ -45,9 +45,9 @@ class Conduction(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit(team: Ints, n: int, spacing: float, X: Floats, G: Operators, reach: Floats) -> None:
-    """The weights of G and R of n points at X (n,3) m, and the sums (n,4) of their absolute values, in all threads.
+    """Write the weights of G and R of n points at X (n,3) m to G, and the sums of their absolute values to reach (n,4), in all threads.
 
-    Weighted least squares T_j = T_i + g . (X_j - X_i) for the gradients; the excess is T_i less the mean of T_j - g . (X_j - X_i).
+    G: weighted least squares T_j = T_i + g . (X_j - X_i). R: T_i less the weighted mean of T_j - g . (X_j - X_i).
     """
     w = G.weights
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
@@ -78,7 +78,7 @@ def _applied(a: Floats | Symmetric, g0: float, g1: float, g2: float) -> Vector:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
-    """V J F^-1 F^-T = V cof(F)^T cof(F) / J into D, with F = G x."""
+    """Write V J F^-1 F^-T = V cof(F)^T cof(F) / J, with F = G x, to h.D."""
     D = h.D
     for i in range(lo, hi):
         f00 = f01 = f02 = f10 = f11 = f12 = f20 = f21 = f22 = 0.0
@@ -100,7 +100,7 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 
 @njit(cache=True, nogil=True)
 def weigh(lo: int, hi: int, laws: Laws, spacing: float, h: Conduction) -> None:
-    """kD, c and capacity at the temperatures; q: what flows at the most where neighbours differ by 1 K."""
+    """Write kD, c and capacity at the temperatures T; write the largest flow for differences of 1 K to q."""
     law = laws[0]
     for i in range(lo, hi):
         h.capacity[i] = law.rho * h.volume[i] * heat_capacity(law, h.T[i])
@@ -115,7 +115,7 @@ def weigh(lo: int, hi: int, laws: Laws, spacing: float, h: Conduction) -> None:
 
 @njit(cache=True, nogil=True)
 def fastest(lo: int, hi: int, transposed: Operators, h: Conduction) -> float:
-    """A bound on the fastest decay, 1/s (Gershgorin, with the absolute values of the operators)."""
+    """Upper bound on the fastest rate of decay, 1/s (Gershgorin, with absolute values of the operators)."""
     t, most = transposed, 0.0
     for i in range(lo, hi):
         total = 0.0
@@ -128,7 +128,7 @@ def fastest(lo: int, hi: int, transposed: Operators, h: Conduction) -> float:
 
 @njit(cache=True, nogil=True)
 def flow_of_points(lo: int, hi: int, G: Operators, h: Conduction) -> None:
-    """kD G T and c R T into q."""
+    """Write kD G T and c R T to h.q."""
     for i in range(lo, hi):
         g0 = g1 = g2 = r = 0.0
         for s in range(G.start[i], G.start[i + 1]):
@@ -140,7 +140,7 @@ def flow_of_points(lo: int, hi: int, G: Operators, h: Conduction) -> None:
 
 @njit(cache=True, nogil=True)
 def collect(lo: int, hi: int, dt: float, transposed: Operators, h: Conduction) -> None:
-    """Heat of the flow q over dt s, minus G^T q[:, :3] + R^T q[:, 3], added to gained, and its rise of T."""
+    """Add the heat of the flow q over dt s, -dt (G^T q[:, :3] + R^T q[:, 3]), to h.gained, and the rise of temperature to h.T."""
     t = transposed
     for i in range(lo, hi):
         a0 = a1 = a2 = r = 0.0
@@ -156,7 +156,7 @@ def collect(lo: int, hi: int, dt: float, transposed: Operators, h: Conduction) -
 def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
-    """`pull_back`, `weigh` and `fastest` of n points at x (n,3) m in all threads; rates (PARTS,) 1/s: the last, part by part."""
+    """`pull_back`, `weigh` and `fastest` for n points at x (n,3) m, in all threads. rates (PARTS,) 1/s: result of `fastest` by part."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)
         weigh(lo, hi, laws, spacing, h)
@@ -166,7 +166,7 @@ def prepare(
 
 @njit(cache=True, nogil=True)
 def conduct(team: Ints, n: int, dt: float, G: Operators, transposed: Operators, h: Conduction) -> None:
-    """`flow_of_points` and `collect` of n points in all threads."""
+    """`flow_of_points` and `collect` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         flow_of_points(lo, hi, G, h)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

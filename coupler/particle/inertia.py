@@ -1,14 +1,14 @@
-"""Inertia of the cells that limit the time step: a selective mass scaling that leaves all motion but one alone.
+"""Inertia of the cells that limit the time step: a selective mass scaling that changes only one mode of each cell.
 
-The cell of a point that an impact has crushed flat has the fastest mode of the particle: its volume swings, at a frequency far above
-that of anything that is sought. Such a cell gets an inertia c of its own against the rate of its volume,
+The cell of a crushed point has the fastest mode of the particle: an oscillation of its volume, with a frequency far above those of
+interest. Such a cell gets an inertia c against the rate of its volume,
 
     M = m 1 + sum c_i b_i b_i^T,   b_i v = d ln J_i / dt = sum_j (v_j - v_i) . F_i^-T g_ij
 
-so that only what changes this volume is slower. A rigid motion, spin included, changes none: linear and angular momentum are
-conserved (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436, for elements). With k = V J (K J + 4 G / 3), the
-stiffness of the cell, c = STIFFER k (T / 2)^2 - m / b^2 lets it bear the step T; cells that bear it get none. The
-accelerations follow from the few scaled cells alone: m a = f - B^T (C^-1 + B B^T / m)^-1 B f / m.
+so that only changes of this volume are slower. A rigid motion, rotation included, changes no volume: linear and angular momentum
+are conserved (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436, for elements). With the stiffness of the
+cell, k = V J (K J + 4 G / 3), the inertia c = STIFFER k (T / 2)^2 - m / b^2 makes it stable with the step T; c is at least 0.
+Accelerations need a linear system of the few scaled cells only: m a = f - B^T (C^-1 + B B^T / m)^-1 B f / m.
 """
 
 from collections.abc import Callable
@@ -25,15 +25,16 @@ from ..physics.constitutive import bulk_stiffness
 from .law import LEAST_POINTS
 from .model import Sides
 
-ENOUGH = 0.25  # spacings over wave speed: cells whose safe step is that long do not limit the particle
-STIFFER = 2.0  # cells that swing together are faster than each of them alone
+ENOUGH = 0.25  # spacings over wave speed: cells with a longer safe step do not limit the particle
+STIFFER = 2.0  # factor for neighbouring cells, which together have a higher frequency than a single cell
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inertia_of_cells(
     lo: int, hi: int, laws: Laws, scale: float, mass: float, sides: Sides, F: Floats, J: Floats, spatial: Floats, inertia: Floats
 ) -> None:  # fmt: skip
-    """spatial (sides,3) 1/m: F^-T g; inertia (n,) kg m2: c of each cell, 0 where it needs none. scale m3 s2: STIFFER V (T / 2)^2."""
+    """Write F^-T g to spatial (sides,3) 1/m, and the inertia c of each cell to inertia (n,) kg m2. scale: STIFFER V (T / 2)^2, m3
+    s2."""
     law = laws[0]
     for i in range(lo, hi):
         B, _ = inverse(matrix_of(F, i))
@@ -49,23 +50,22 @@ def inertia_of_cells(
 
 
 class CellInertia:
-    """The scaled cells of one rank's points, with those of the other ranks.
-
-    `weigh` chooses them for a chunk of steps, `slow` changes the forces of each step.
-    """
+    """The scaled cells of the points of all ranks. `weigh` chooses them for a chunk of steps, `slow` changes the forces of each
+    step."""
 
     def __init__(
         self, law: Laws, volume: float, step: float, sides: Sides, numbers: np.ndarray, total: int, gather: Callable[..., list[Any]],
     ):  # fmt: skip
-        """law (1,); volume m3 of each point; step s: that cells are to bear, as 2 / omega. numbers (N,): of all points here in the
-        whole particle of `total`, the n own ones first. gather(values): those of each rank."""
+        """law (1,): LAW record; volume m3: of each point; step s: limit 2 / omega that all cells shall reach; numbers (N,): numbers
+        of the points of this rank, the n own ones first, in the whole particle of `total` points; gather(values): values of all
+        ranks."""
         self._law, self._mass, self._scale = law, volume * float(law[0]["rho"]), STIFFER * volume * (0.5 * step) ** 2
         self._sides, self._numbers, self._total, self._gather = sides, numbers, total, gather
         n = len(sides.first) - 1
         self._alone = len(gather(n)) == 1
         self._inertia, self._spatial = np.zeros(n), np.zeros((len(sides.neighbour), 3))
         self._own = numbers[:n]
-        self.cells = 0  # how many are scaled now, on all ranks
+        self.cells = 0  # number of scaled cells, on all ranks
 
     def weigh(self, F: np.ndarray, J: np.ndarray) -> None:
         """Choose the cells and their inertia for deformation gradients F (n,9) and volume ratios J (n,)."""
@@ -95,8 +95,8 @@ class CellInertia:
         self._solve = np.linalg.inv(np.diag(self._mass / c) + (B @ self._B_transposed).toarray())
 
     def slow(self, f: np.ndarray) -> None:
-        """Change the forces f (n,3) N, all that act on the points, into those that give them their accelerations with added inertia.
-        All ranks call it together."""
+        """Replace the total forces f (n,3) N on the points by forces that give the accelerations with added inertia. All ranks call
+        this together."""
         if not self.cells:
             return
         whole = np.zeros((self._total, 3))

@@ -1,11 +1,10 @@
-"""Our constitutive law inside MACHDYN, through the two per-point numbers it lets one set: yield stress and energy.
+"""The constitutive law of `coupler.physics.constitutive` inside MACHDYN, through two numbers of each point: yield stress and energy.
 
-MACHDYN's own Johnson-Cook has no thermal softening and averages the strain rate over some 500 ns. Its linear
-plastic strength model with a zero offset returns the deviator to H x eff_plastic_strain, so writing sigma_y/H into
-eff_plastic_strain each step prescribes the yield stress, and what MACHDYN then adds to it is the plastic strain of
-the step. Its shock equation of state gives the mean stress -p_H + rho Gamma e, in which heat pulls where it should
-push and the Hugoniot term is too stiff; writing into esph the e that makes that sum equal -p of
-`coupler.physics.constitutive` mends both. Both lag by one step.
+MACHDYN's own Johnson-Cook law has no thermal softening and averages the strain rate over some 500 ns. Its linear plastic strength
+model with zero offset returns the deviator to H eff_plastic_strain: with sigma_y / H in eff_plastic_strain before a step, the yield
+stress is sigma_y, and the increase in the step is the increment of plastic strain. Its shock equation of state gives the mean
+stress -p_H + rho Gamma e: heat has the wrong sign, and the Hugoniot term is too stiff. The energy e in esph is chosen so that this
+sum equals -p of `coupler.physics.constitutive`. Both lag by one step.
 """
 
 from typing import NamedTuple
@@ -24,7 +23,7 @@ LEAST_POINTS = 1000  # in a range of a loop that threads share
 
 @njit(cache=True, nogil=True, inline="always")
 def _machdyn_hugoniot(law: Law, J: float) -> tuple[float, float]:
-    """Pressure of MACHDYN's shock equation of state without energy, and its slope in J: the Hugoniot as it stands."""
+    """Pressure of MACHDYN's shock equation of state at zero energy (Hugoniot), and its derivative by J."""
     eta = 1.0 - J
     w = 1.0 - law.s * eta
     return law.K * eta / (w * w), -law.K * (1.0 + law.s * eta) / (w * w * w)
@@ -32,7 +31,8 @@ def _machdyn_hugoniot(law: Law, J: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, inline="always")
 def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
-    """The J at which MACHDYN's equation of state with the energy e (J/kg) gives this mean stress (Pa): Newton from the last J."""
+    """The J at which MACHDYN's equation of state with the energy e (J/kg) gives the mean stress (Pa): Newton's method from the last
+    J."""
     if not (on(law.s) or on(law.Gamma0)):
         return 1.0 + mean / law.K
     for _ in range(30):
@@ -49,8 +49,8 @@ def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
 
 
 class Machdyn(NamedTuple):
-    """What MACHDYN keeps of points (n,): mass kg; eps, e (J) and de (W), by which we prescribe the next step; set_e J/kg: the e
-    prescribed for this step."""
+    """Arrays of MACHDYN for n points. mass kg; eps, e (J) and de (W): plastic strain, energy and its rate, which prescribe the next
+    step; set_e J/kg: energy prescribed for this step."""
 
     mass: Floats
     eps: Floats
@@ -61,15 +61,15 @@ class Machdyn(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: State, sums: Floats) -> None:
-    """Read what MACHDYN did in this step, move the state of every point on, and prescribe the next step.
+    """Read the result of MACHDYN's step, update the state of every point, and prescribe the next step.
 
-    laws: one LAW record, dt s, H Pa, volume (n,) m3; the stress of a is that of LAMMPS, read. sums (2,) grows by plastic work and by
-    what of its heat makes pressure, J.
+    laws: one LAW record; dt s; H Pa; volume (n,) m3; a.stress: stress of LAMMPS, only read; sums (2,) J grows by the plastic work
+    and by the part of its heat that makes pressure.
     """
     law = laws[0]
     for i in range(len(volume)):
         mean = (a.stress[i, 0] + a.stress[i, 3] + a.stress[i, 5]) / 3.0
-        J, sy = _volume_ratio(law, mean, a.J[i], m.set_e[i]), a.sigma_y[i]  # what MACHDYN saw
+        J, sy = _volume_ratio(law, mean, a.J[i], m.set_e[i]), a.sigma_y[i]  # values in MACHDYN's step
         deps = max(m.eps[i] - sy / H, 0.0)
         a.eps_p[i], a.rate[i], a.T[i], a.sigma_y[i], w = harden(law, deps, dt, J, sy, sy, a.eps_p[i], a.rate[i], a.T[i])
         heat = 0.0
@@ -91,9 +91,9 @@ def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: St
 def warm_points(
     team: Ints, laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, a: State, pressing: Floats
 ) -> None:
-    """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
+    """Add heat (n,) J to points: T by enthalpy, sigma_y by softening, energy by the part that makes pressure in the next step.
 
-    machdyn_eps (n,), written, prescribes sigma_y for the next step; pressing (PARTS,): what went into the energy, J, part by part.
+    machdyn_eps (n,): written, prescribes sigma_y for the next step; pressing (PARTS,) J grows by the part that makes pressure.
     """
     law = laws[0]
     for lo, hi, part in ranges(team, 0, len(heat), LEAST_POINTS):
@@ -112,11 +112,11 @@ def warm_points(
 def add_up(
     team: Ints, laws: Laws, dt: float, volume: Floats, mass: Floats, v: Floats, f: Floats, a: State, sums: Floats
 ) -> None:
-    """Sums over points, part by part, into sums (PARTS,6): kinetic energy, and that which stresses store, J, momentum, kg m/s, and the
-    square of the largest speed, m2/s2.
+    """Write sums over points, part by part, to sums (PARTS,6): kinetic energy and stored energy, J; momentum, kg m/s; square of the
+    largest speed, m2/s2.
 
-    Stored are that of deviators, J V s:s / 4G, and that of the volume, the heat in it included.
-    v (n,3) m/s of n+1/2, f (n,3) N. Kinetic energy: sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work.
+    Stored energy: of deviators, J V s:s / 4G, and of the volume, including heat. Kinetic energy: sum of m v(n-1/2).v(n+1/2) / 2,
+    whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
     """
     law = laws[0]
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):
@@ -139,7 +139,7 @@ def add_up(
 
 @njit(cache=True, nogil=True)
 def smallest_stretch(lo: int, hi: int, strain: Floats) -> tuple[float, int]:
-    """Smallest principal stretch over points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
+    """Smallest principal stretch over points, and its point. strain (n,6): Green-Lagrange, xx yy zz xy xz yz."""
     smallest = 1e300
     where = -1
     for i in range(lo, hi):

@@ -1,4 +1,4 @@
-"""The particle with MACHDYN's own pair style, into which our law is put through yield stress and energy (`particle.law`)."""
+"""The particle with MACHDYN's own pair style; yield stress and energy of each point carry the constitutive law (`particle.law`)."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -8,19 +8,19 @@ import numpy as np
 from ..core.records import Rows
 from ..errors import SolverError
 from . import law as k
-from .particle import Particle, PointState
+from .particle import UNDEFINED_STRESS, Particle, PointState
 from .start import H
 
 
 @dataclass(frozen=True)
 class MachdynPoints(PointState):
-    """set_e (n,) J/kg: the energy prescribed for the next step."""
+    """Points of a `MachdynParticle`. set_e (n,) J/kg: energy prescribed for the next step."""
 
     set_e: Annotated[np.ndarray, Rows()]
 
 
 class MachdynParticle(Particle):
-    """LAMMPS computes deformation, stress and internal forces (`pair_style smd/tlsph`); our law prescribes the next step."""
+    """LAMMPS computes deformation, stress and internal forces (`pair_style smd/tlsph`); the law prescribes the next step."""
 
     PAIR = "pair_machdyn.lmp"
     POINTS = MachdynPoints
@@ -35,7 +35,7 @@ class MachdynParticle(Particle):
         k.apply_law(self._special, self.dt, H, self.volume, self._machdyn, self._state, self.sums)
         if not np.isfinite(self.sums[0]):
             bad = int(np.argmin(np.isfinite(self.points.work)))
-            raise SolverError(self._failure(f"the stress at point {self.ids[bad]} is no longer a number", bad))
+            raise SolverError(self._failure(UNDEFINED_STRESS, bad))
 
     def _strain(self) -> np.ndarray:
         return self.lmp.numpy.extract_compute("strain", 1, 2)[: self.n]

@@ -1,7 +1,7 @@
-"""The arrays of a particle, as its kernels take them. n: points of this rank; N: these and the neighbours' copies of other ranks.
+"""Arrays of a particle, as arguments of its kernels. n: points of this rank; N: these and copies of neighbours on other ranks.
 
-The letters are those of the equations, see `particle.compiled_kernels`. A side is a neighbour as seen from a point; a pair has two. SI
-units.
+The letters are those of the equations in `particle.compiled_kernels`. A side is one point of a pair with the other as its
+neighbour: each pair has two sides. SI units.
 """
 
 from typing import NamedTuple
@@ -10,8 +10,8 @@ from ..core.arrays import Floats, Ints
 
 
 class Scheme(NamedTuple):
-    """V m3 and rho kg/m3 of each point; h m: reach of the kernel; c m/s: longitudinal wave speed; E Pa: Young's modulus; H Pa: of the
-    linear hardening through which LAMMPS keeps the yield stress; Q1, Q2, hourglass: MACHDYN's coefficients."""
+    """Constants. V m3, rho kg/m3: of each point; h m: radius of the kernel; c m/s: longitudinal wave speed; E Pa: Young's modulus;
+    H Pa: modulus of the linear hardening by which LAMMPS stores the yield stress; Q1, Q2, hourglass: coefficients of MACHDYN."""
 
     V: float
     rho: float
@@ -25,8 +25,8 @@ class Scheme(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Neighbours of the points: of point i the rows first[i] to first[i + 1], first (n+1,), of arrays (sides,). neighbour: its number;
-    pair: the row of the pair, ~row where i is the second point; w 1/m5: W'/r; gradient (sides,3) 1/m: g."""
+    """Neighbours of the points: point i has the rows first[i] to first[i + 1] of arrays (sides,), first (n+1,). neighbour: number
+    of the neighbour; pair: row of the pair, ~row if i is its second point; w 1/m5: W'/r; gradient (sides,3) 1/m: g."""
 
     first: Ints
     neighbour: Ints
@@ -36,8 +36,8 @@ class Sides(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """points (m,2): the first and the second point of each; sides (m,2): the row of each one's side, those of other ranks' points after
-    the own; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W of the reference; gradient (m,6) 1/m: g_ij and g_ji."""
+    """Pairs of points. points (m,2): first and second point; sides (m,2): rows of their sides, sides of other ranks after the own
+    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji."""
 
     points: Ints
     sides: Ints
@@ -48,7 +48,7 @@ class Pairs(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """(N,3): reference positions X m, positions x m and velocities v m/s at n+1, velocities v_half m/s at n+1/2."""
+    """Arrays (N,3): reference positions X m; positions x m and velocities v m/s at n+1; velocities v_half m/s at n+1/2."""
 
     X: Floats
     x: Floats
@@ -57,8 +57,8 @@ class Motion(NamedTuple):
 
 
 class Deformation(NamedTuple):
-    """F (N,9) and its rotation R (n,9), row by row; Q (N,9) J: minus the derivative of a point's energy by F, to which its forces go
-    with g; effective (N,): sigma_y / H and the plastic strain of the step, by which MACHDYN chooses its hourglass control."""
+    """Deformation gradients F (N,9) and their rotations R (n,9), row by row; Q (N,9) J: minus the derivative of a point's energy by F,
+    the forces are Q g; effective (N,): sigma_y / H plus the plastic strain of the step, which selects MACHDYN's hourglass control."""
 
     F: Floats
     R: Floats
@@ -67,8 +67,8 @@ class Deformation(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of the law, (n,): sigma_y Pa; eps_p; rate 1/s; T K; J; p Pa; energy and plastic work J per reference m3. stress (n,6)
-    Pa: unrotated Cauchy stress, xx xy xz yy yz zz, as LAMMPS keeps it; eps_gradient (n,3) 1/m."""
+    """State of the law at n points. sigma_y Pa; eps_p; rate 1/s; T K; J; p Pa; energy and plastic work, J per reference m3; stress
+    (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz; eps_gradient (n,3) 1/m."""
 
     stress: Floats
     sigma_y: Floats
@@ -83,15 +83,16 @@ class State(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Losses by viscosity and by hourglass control, (m,2): strength N/m of their forces over x_j - x_i, of the last step of the chunk,
-    zero before the first; work J that they have dissipated in the chunk."""
+    """Losses of m pairs; columns: viscosity, hourglass control. strength (m,2) N/m: force over distance in the last step, zero
+    before the first step of a chunk; work (m,2) J: energy dissipated in the chunk."""
 
     strength: Floats
     work: Floats
 
 
 class Residuals(NamedTuple):
-    """Residuals of sides: plastic (sides,3) m: e_p; force (own and other ranks' sides,3) N. unseen (n,) J/m3: elastic energy."""
+    """Residuals of sides. plastic (sides,3) m: e_p; force (s,3) N: of own sides, then of sides of other ranks; unseen (n,) J/m3:
+    elastic energy."""
 
     plastic: Floats
     force: Floats

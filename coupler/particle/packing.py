@@ -1,4 +1,4 @@
-"""Points of a face-centred cubic lattice inside a body; the geodesic surface of a sphere."""
+"""Points of a face-centred cubic lattice inside a body, and the geodesic surface of a sphere."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,16 +6,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 MIN_NEIGHBOURS = 4
-CELL = np.array(
-    [[0.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]]
-)  # points of the lattice's cell, in edges
-EDGE = len(CELL) ** (1.0 / 3.0)  # of the cell, in spacings
-# Mean square distance, along an axis, of a point's Voronoi cell from it, over spacing^2 (Conway & Sloane 1999, chapter 2)
+# points of the unit cell of the lattice, in edges
+CELL = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
+EDGE = len(CELL) ** (1.0 / 3.0)  # of the unit cell, in spacings
+# Second moment of a point's Voronoi cell along an axis, over volume and spacing^2 (Conway & Sloane 1999, chapter 2)
 MOMENT = 0.0787451
 
 
 def lattice(spacing: float, half: Sequence[float], offset: Sequence[float]) -> np.ndarray:
-    """Points (k,3), one per spacing^3, over a box of half extents `half` m; offset in edges of the cell."""
+    """Points (k,3) m of the lattice, one per spacing^3, in a box of half extents `half` m. offset: in edges of the unit cell."""
     edge = EDGE * spacing
     axes = [np.arange(-count, count) for count in np.ceil(np.asarray(half) / edge).astype(int) + 1]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
@@ -23,10 +22,10 @@ def lattice(spacing: float, half: Sequence[float], offset: Sequence[float]) -> n
 
 
 def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
-    """Points of the lattice inside a sphere, about `points` of them, centred on the origin.
+    """About `points` points of the lattice inside a sphere around the origin.
 
-    Returns (n,3) positions in m and the volume of each point (m3), the sphere's volume over n. The lattice has no point on
-    the centre: its outermost shell is more even then.
+    Returns positions (n,3) m, and the volume of each point (m3), which is the volume of the sphere over n. No lattice point lies at
+    the centre: this makes the outermost shell more even.
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
@@ -43,13 +42,13 @@ def fill(
     points: int,
     flat: tuple[int, ...] = (),
 ) -> tuple[np.ndarray, float]:
-    """Points of the lattice inside a body, about `points` of them, their mean on the origin.
+    """About `points` points of the lattice inside a body, with their mean at the origin. Returns the same as `sphere`.
 
-    inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, divided equally
-    among the points; flat: the axes along which the body ends in flat faces. Among some lattice constants and offsets the
-    one is taken whose points, each with its cell, come closest to the body's volume and second moments, and whose outermost
-    layers lie half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are
-    left out: they cannot follow a deformation. Returns as `sphere` does.
+    inside: function of positions (k,3) m, returns (k,) bool; half: half extents of the body, m; volume: of the body, m3, divided
+    equally among the points; flat: axes along which the body ends in flat faces. The best of several lattice constants and offsets
+    is chosen: volume and second moments of the points with their cells are closest to those of the body, and outermost layers lie
+    half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are removed: their deformation gradient is
+    undefined.
     """
     moments = _second_moments(inside, half)
     best: tuple[float, np.ndarray] | None = None
@@ -74,7 +73,7 @@ def fill(
 
 
 def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half: tuple[float, float, float]) -> np.ndarray:
-    """Mean square distances (3,) of the body's volume from its centre along x, y, z: a midpoint rule."""
+    """Mean squares (3,) m2 of x, y and z over the volume of the body, by a midpoint rule."""
     middle = (np.arange(80) + 0.5) / 40 - 1.0
     grid = np.stack(np.meshgrid(*[middle] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * np.asarray(half)
     return (grid[inside(grid)] ** 2).mean(axis=0)
@@ -89,7 +88,7 @@ def _connected(cloud: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The undeformed outer surface: a geodesic sphere with edges of about `edge` m, vertices (n,3), triangles (m,3), outwards."""
+    """A geodesic sphere around the origin with edges of about `edge` m: vertices (n,3) m, triangles (m,3) with normals outwards."""
     golden = 0.5 * (1.0 + np.sqrt(5.0))
     corners = np.array(
         [[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0], [0, -1, golden], [0, 1, golden],
@@ -105,9 +104,9 @@ def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def subdivide(corners: np.ndarray, faces: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split each edge of a triangulated surface into `parts`: vertices (n,3), triangles (m,3), still flat faces.
+    """Divide each edge of a triangulated surface into `parts`; faces stay flat. Returns vertices (n,3), triangles (m,3).
 
-    corners (c,3), of the order of 1: vertices closer than 1e-9 are one.
+    corners (c,3): of the order of 1; vertices closer than 1e-9 are merged.
     """
     i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
     weights = np.stack([parts - i - j, i, j], axis=1) / parts

