@@ -1,4 +1,4 @@
-"""Records of a conversion: the cloud of points that goes in, the bodies of tetrahedra that come out, the reports."""
+"""Records of a conversion: cloud of points, bodies of tetrahedra, reports."""
 
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypeAlias
@@ -12,23 +12,23 @@ from ..geometry.triangles import open_or_double
 from ..physics.metal import MetalState
 
 MIN_POINTS = 50  # of a body
-#: Mesh report of one body, or of a whole splat: sums or worst values over its bodies, and all other keys of its largest body. failed:
-#: strategies that failed before, with the reason; surface: triangles of each closed surface; volume_error_before: relative, before the
-#: surface is moved by moved_m to correct it; outside_half, outside_max: see `quality.fit_of`; transfer: see `transfer.transfer`.
+#: Mesh report of one body, or of a whole splat: sums or worst values over its bodies; all other keys are of its largest body. failed:
+#: strategies that failed before, with reasons; surface: number of triangles of each closed surface; volume_error_before: relative error
+#: before the surface is moved by moved_m; outside_half, outside_max: see `quality.fit_of`; transfer: see `transfer.transfer`.
 Report: TypeAlias = dict[str, Any]
 
-MAX_BOX = 5e7  # cubes of the spacing in the box around a cloud: those of the density are searched
-LARGEST = 1e30  # of any value, SI: its square is still a number
+MAX_BOX = 5e7  # largest volume of the box around a cloud, in spacing^3: it limits the grid of the density
+LARGEST = 1e30  # of any value, SI: its square is still finite
 
 
 @dataclass(frozen=True)
 class Cloud(MetalState):
-    """Points of one splat and their state; a field that the cloud does not have is None. SI units.
+    """Points of one splat and their state; unknown fields are None. SI units.
 
-    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume; rho:
-    reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J per
-    reference m3. surface: vertices (k,3) and outward triangles (m,3) of the body's deformed carried surface, cavities included.
-    wave_speed: m/s, for the explicit time step in the report.
+    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of this volume; rho:
+    reference density; velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J per
+    reference m3; surface: vertices (k,3) and triangles (m,3) of the deformed carried surface, including cavities, normals outwards;
+    wave_speed: for the explicit time step in the report.
     """
 
     x: Annotated[np.ndarray, Rows(3)]
@@ -54,19 +54,20 @@ class Cloud(MetalState):
 
     @property
     def solid_volume(self) -> float:
-        """Current volume of the metal, m3."""
+        """Current volume of all points, m3."""
         return float(self.current_volume.sum())
 
     def part(self, index: np.ndarray) -> "Cloud":
-        """The cloud of the points `index` (p,); the surface stays whole."""
+        """The cloud of the points `index` (p,), with the whole surface."""
         kept: dict[str, Any] = {name: array[index] for name, array in self._known().items()}
         return replace(self, **kept)
 
     def _known(self) -> dict[str, np.ndarray]:
+        """The arrays that are not None, by name."""
         return {name: array for name, array in arrays_of(self).items() if array is not None}
 
     def check(self) -> None:
-        """Raise SplatError, with the remedy, where the cloud cannot be meshed."""
+        """Raise SplatError, with a remedy, if the cloud cannot be meshed."""
         x = np.asarray(self.x)
         n = len(x)
         if x.ndim != 2 or x.shape[1] != 3:
@@ -125,11 +126,11 @@ class Cloud(MetalState):
 
 @dataclass(frozen=True)
 class Body(MetalState):
-    """One body of tetrahedra with its state; a field is None where the cloud has none. SI units.
+    """One body of tetrahedra with its state; fields that the cloud does not have are None. SI units.
 
-    points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, J (m,), and the
-    state of the metal. At nodes: velocity (n,3), energy (n,) J per reference m3. cloud_index (k,): the points of this body. report:
-    measures of it.
+    points (n,3); tets (m,4): positively oriented; cloud_index (k,): points of the cloud in this body; at nodes: velocity (n,3),
+    energy (n,) J per reference m3; in elements: stress (m,6): Cauchy, Voigt xx yy zz yz xz xy; J (m,); state of the metal (m,);
+    report: see `Report`.
     """
 
     points: np.ndarray
@@ -144,7 +145,7 @@ class Body(MetalState):
 
 @dataclass(frozen=True)
 class Splat:
-    """The bodies of a cloud, largest first. lost_mass: kg, of fragments with fewer than MIN_POINTS points."""
+    """The bodies of a cloud, largest first. lost_mass kg: mass of fragments with fewer than MIN_POINTS points."""
 
     bodies: list[Body]
     lost_mass: float

@@ -1,4 +1,4 @@
-"""A splat's cloud of points becomes tetrahedral bodies with its state."""
+"""Conversion of a splat's cloud of points to tetrahedral bodies with its state."""
 
 import time as clock
 
@@ -15,16 +15,16 @@ from .transfer import transfer
 
 METHODS = ("auto", "carried", "density")
 MAX_ELEMENTS = 5e6
-LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
-MIN_TETS = 40  # of a fragment: its elements are made small enough for about that number
+LINK = 2.5  # spacings: largest distance between neighbours in a stretched body
+MIN_TETS = 40  # approximate smallest number of elements of a fragment: its element size is reduced for this
 
 
 def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
-    method: "auto" takes the carried surface where there is one, else, or where that cannot be filled, the density of
-    the points; the others force one source.
-    Raises SplatError for a cloud that cannot be meshed, or when every strategy has failed.
+    method: "carried" uses the carried surface, "density" the density of the points; "auto" uses the carried surface if there is
+    one, and the density if there is none or it cannot be filled. Raises SplatError for a cloud that cannot be meshed, or if every
+    strategy fails.
     """
     if method not in METHODS:
         raise SplatError(f"unknown method {method!r}: choose one of {', '.join(METHODS)}")
@@ -57,7 +57,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
 
 
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError where there is none."""
+    """The bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError if there are none."""
     pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
     count, part = connected_parts(pairs, len(cloud.x))
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
@@ -72,7 +72,7 @@ def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tupl
 
 
 def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The bodies in a linked part of a cloud: several where its shape is in pieces, close to each other but not touching."""
+    """The bodies in a connected part of a cloud: several if its shape consists of separate pieces close to each other."""
 
     def shape_of(part: np.ndarray) -> CloudShape:
         return CloudShape(cloud.part(part), np.delete(cloud.x, part, axis=0))
@@ -95,12 +95,12 @@ def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str)
 
 
 def _size_of(cloud: Cloud, element_size: float) -> float:
-    """Element size (m) for a body: the one asked for, or smaller where that gives fewer than MIN_TETS elements."""
+    """Element size (m) of a body: the given one, or a smaller one for at least about MIN_TETS elements."""
     return min(element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
 
 
 def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str) -> Body:
-    """Mesh one body, the points `index` of the cloud. Raises SplatError where every strategy fails."""
+    """Mesh one body and transfer its state. index: its points in the cloud. Raises SplatError if every strategy fails."""
     cloud, failed = shape.cloud, []
     seconds: dict[str, float] = {}
     for strategy in strategies(method, cloud.surface is not None):
@@ -111,7 +111,7 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
             continue
         except DependencyError:
             raise
-        except Exception as problem:  # another strategy may still succeed
+        except Exception as problem:  # another strategy can still succeed
             failed.append(f"{strategy}: {type(problem).__name__}: {problem}")
             continue
         start = clock.perf_counter()
@@ -130,7 +130,7 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
 
 
 def _total(reports: list[Report], sorting: float) -> Report:
-    """The report of a splat: sums and worst values over its bodies, and the largest body's own measures."""
+    """The report of a splat (`Report`) from the reports of its bodies. sorting: wall time of `separate_bodies`, s."""
     seconds = {"sorting": sorting}
     for report in reports:
         for stage, spent in report["seconds"].items():

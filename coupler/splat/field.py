@@ -1,7 +1,8 @@
-"""A body as a fraction of metal on a grid, from its carried surface or from its points, and the level that encloses its volume.
+"""Volume fraction of the metal on a grid, from the carried surface or from the points of a body, and the level that encloses its
+volume.
 
-Both sources give a smooth field that is 1 in the metal and 0 outside. Features that the smoothing does not resolve (lips thinner than
-about 1.3 sigma, folds, overlaps) are lost: the level set of a smooth field is a closed surface that does not intersect itself.
+Both sources give a smooth field that is 1 in the metal and 0 outside. Its level set is a closed surface without self-intersections.
+Features that the smoothing does not resolve are lost: lips thinner than about 1.3 sigma, folds, overlaps.
 """
 
 from dataclasses import dataclass
@@ -18,24 +19,25 @@ MAX_CELLS = 24_000_000  # of a grid: 100 MB for each array
 
 @dataclass(frozen=True)
 class Field:
-    """values (nx,ny,nz) of the cells whose centres are origin + (i, j, k) h; lengths in m."""
+    """A field on a grid of cells. values (nx,ny,nz): at the centres origin + (i, j, k) h; origin (3,), h: m."""
 
     values: np.ndarray
     origin: np.ndarray
     h: float
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) at points x (m,3), linear between the centres, 0 outside the grid."""
+        """Values (m,) at points x (m,3) m, linear between the centres, 0 outside the grid."""
         return ndimage.map_coordinates(self.values, self.index(x), order=1, mode="constant", cval=0.0, prefilter=False)
 
     def index(self, x: np.ndarray) -> np.ndarray:
-        """Places x (m,3) in units of cells (3,m), 0 at the first centre."""
+        """Grid coordinates (3,m) of points x (m,3) m, in cells, 0 at the first centre."""
         return ((x - self.origin) / self.h).T
 
 
 def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[np.ndarray, tuple[int, int, int]]:
-    """Centre of the first cell and number of cells of a grid over a box and a margin (m) about it."""
-    # An uneven fraction of a cell keeps planes and axes of symmetric bodies away from the cell centres.
+    """Centre of the first cell (3,) m, and numbers of cells, of a grid over the box from low to high (3,) m with a margin (m)
+    around it."""
+    # these fractions keep planes and axes of symmetric bodies away from the cell centres
     first = low - margin - np.array([0.377, 0.219, 0.441]) * h
     counts = np.ceil((high + margin - first) / h).astype(int) + 1
     if np.prod(counts.astype(float)) > MAX_CELLS:
@@ -50,7 +52,7 @@ def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: flo
     """Volume fraction of the solid in cells of h m, smoothed by a Gaussian of standard deviation sigma m. The surface is closed:
     vertices (k,3) m, triangles (m,3) with outward normals.
 
-    Also returns the volume (m3) inside before smoothing: where the surface overlaps itself it counts once.
+    Also returns the volume (m3) inside the surface before smoothing; overlaps of the surface with itself count once.
     """
     first, counts = _grid(vertices.min(axis=0), vertices.max(axis=0), h, 3.0 * sigma)
     fine = np.zeros(tuple(2 * n for n in counts), np.int8)
@@ -63,7 +65,8 @@ def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: flo
 
 
 def of_points(x: np.ndarray, volume: np.ndarray, h: float, sigma: float) -> Field:
-    """Field of points x (n,3) m, each with its volume (n,) m3 shared among the eight cells about it, then smoothed."""
+    """Volume fraction of points x (n,3) m: the volume (n,) m3 of each point is divided among the eight cells around it, then
+    smoothed. h, sigma: as in `of_surface`."""
     first, counts = _grid(x.min(axis=0), x.max(axis=0), h, 4.0 * sigma)
     at = (x - first) / h
     low = np.floor(at).astype(int)
@@ -80,7 +83,7 @@ def _smooth(values: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def steepness(field: Field) -> np.ndarray:
-    """Size of the gradient of a field per cell, (nx,ny,nz)."""
+    """Magnitude (nx,ny,nz) of the gradient of a field, per cell."""
     square = np.zeros_like(field.values)
     for axis in range(3):
         square += np.gradient(field.values, axis=axis) ** 2
@@ -88,16 +91,17 @@ def steepness(field: Field) -> np.ndarray:
 
 
 def inside(field: Field, slope: np.ndarray, level: float) -> float:
-    """Volume (m3) where the field exceeds the level; cells the level set passes count in part. slope: its `steepness`."""
+    """Volume (m3) in which the field exceeds the level; cells at the level set count in part. slope: `steepness` of the field."""
     return float(_share(field.values, slope, level).sum(dtype=float)) * field.h**3
 
 
 def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
+    """Share of each cell in which the field exceeds the level, from value and slope at its centre."""
     return np.clip(0.5 + (values - level) / np.maximum(slope, 1e-6), 0.0, 1.0)
 
 
 def level_of(field: Field, volume: float) -> float:
-    """The level that encloses a volume (m3), between 0.15 and 0.85: outside these limits it depends on the tail of the smoothing."""
+    """The level that encloses a volume (m3), limited to 0.15 to 0.85: outside this range it depends on the tails of the smoothing."""
     near = (field.values > 0.01) & (field.values < 0.99)
     values, slope = field.values[near], steepness(field)[near]
     target = volume / field.h**3 - int(np.sum(field.values >= 0.99))
@@ -110,7 +114,7 @@ def level_of(field: Field, volume: float) -> float:
 
 
 def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
-    """The field where the nearest of all points is one of `keep` (n,3) m and not of `others` (k,3) m; 0 elsewhere."""
+    """The field in cells that are closer to a point of `keep` (n,3) m than to one of `others` (k,3) m, 0 elsewhere."""
     near = np.argwhere(field.values > 0.01)
     at = field.origin + near * field.h
     own = cKDTree(keep).query(at)[0] <= cKDTree(others).query(at)[0]
@@ -120,9 +124,9 @@ def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
 
 
 def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.ndarray]]:
-    """Fill voids and remove fragments below a volume of `smallest` m3.
+    """Fill voids and remove fragments that are smaller than `smallest` m3.
 
-    Returns the field and the cells (p,3) of each component that exceeds the level, largest first.
+    Returns the field, and the cells (p,3) of each remaining component above the level, largest first.
     """
     values = field.values.copy()
     gaps, _ = ndimage.label(values <= level)

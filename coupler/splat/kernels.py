@@ -1,4 +1,4 @@
-"""Kernels of the conversion: winding numbers on a grid; moving least squares."""
+"""Kernels of the conversion: winding numbers on a grid, and moving least squares (numba)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +9,11 @@ from ..core.arrays import Floats, Ints
 
 @njit(cache=True, nogil=True)
 def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: NDArray[np.int8]) -> None:
-    """Winding number of a closed surface about the centres of cubic cells: count (nx,ny,nz), zero before.
+    """Write the winding number of a closed surface at the centres of cubic cells to count (nx,ny,nz), which is zero before.
 
-    vertices (k,3) m, triangles (m,3) outwards; corner (3,): of the first cell, m; h: edge of the cells, m. Along the
-    line of cells through each (x, y) a triangle that faces down is an entry and one that faces up an exit. A line
-    through an edge meets exactly one of the two triangles at the edge: both measure its side from the edge's lower vertex.
+    vertices (k,3) m; triangles (m,3): normals outwards; corner (3,) m: of the first cell; h m: edge of the cells. Along the line of
+    cells through each (x, y) a downward facing triangle is an entry, an upward facing one an exit. A line through an edge meets
+    exactly one of the two triangles at the edge: both measure its side from the vertex with the smaller number.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)
@@ -39,7 +39,7 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
                         m, n, sign = n, m, -sign
                     u, v = vertices[m], vertices[n]
                     side = (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0])
-                    if side == 0.0:  # equal to a small shift of the line
+                    if side == 0.0:  # decide as for a slightly shifted line
                         side = u[1] - v[1] if u[1] != v[1] else v[0] - u[0]
                     if side * sign < 0.0:
                         inside = False
@@ -58,10 +58,10 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
 
 @njit(cache=True, nogil=True)
 def least_squares_weights(y: Floats, x: Floats, near: Ints, ridge: float, phi: Floats) -> None:
-    """Weights phi (m,k) that a linear moving least-squares fit at points y (m,3) gives to the points near[a] (m,k) of x (n,3).
+    """Write the weights of the points near (m,k) of x (n,3) in a linear moving least-squares fit at points y (m,3) to phi (m,k).
 
-    Points count by (1 - r^2 / R^2)^2, R a little beyond the farthest. The fit is centred on their weighted mean, so that
-    a vanishing spread in one direction, damped by `ridge` (m2), leaves the mean and not infinity.
+    Each point has the weight (1 - r^2 / R^2)^2, with R slightly larger than the distance of the farthest point. The fit is centred
+    on the weighted mean: if the points have no spread in one direction, the ridge parameter (m2) leaves the mean as result.
     """
     m, k = near.shape
     w, d = np.empty(k), np.empty((k, 3))

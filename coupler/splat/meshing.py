@@ -1,4 +1,4 @@
-"""From the points of one body to its tetrahedra: a list of strategies, each mesh checked against the same limits."""
+"""Meshing of the points of one body with tetrahedra: several strategies; all meshes are checked against the same limits."""
 
 import time as clock
 from collections.abc import Callable
@@ -21,25 +21,23 @@ from .cloud import Cloud, Report
 
 T = TypeVar("T")
 TIME_LIMIT = 120.0  # s, of gmsh in one attempt
-MIN_GAMMA = 0.05
-MIN_STEP_LENGTH = 0.05  # of an element size, of the worst element; regular tetrahedra have about 0.4
-MAX_VOLUME_ERROR = 0.01
+MIN_GAMMA = 0.05  # smallest quality of an element (`quality.gamma`)
+MIN_STEP_LENGTH = 0.05  # smallest step length of an element over the element size; regular tetrahedra have about 0.4
+MAX_VOLUME_ERROR = 0.01  # relative
 SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing over element size
-CELLS = 6  # of the grid along an edge of an element, unless that makes more than
-MAX_CELLS = 2e6  # ... in total: more cost time on fine clouds and change nothing
-POINT_SMOOTHING = 0.6  # least smoothing of a cloud, in spacings: below it single points show
+# cells of the grid along an edge of an element, and largest number of cells in total: more take time and do not change the result
+CELLS, MAX_CELLS = 6, 2e6
+POINT_SMOOTHING = 0.6  # smallest smoothing of a cloud, in spacings: with less single points are visible
 MIN_VOID = 30  # spacing^3: smaller voids and fragments are noise
-MAX_OFFSET = 0.25  # of an element size, by which the surface is moved to correct the volume
-# Of the carried surface against the points; beyond it, the surface is not the body's.
+MAX_OFFSET = 0.25  # of an element size: largest offset of the surface to correct the volume
+# Limits of the relative difference between the volumes of carried surface and points: outside them the surface is wrong.
 CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 
 @dataclass(frozen=True)
 class Strategy:
-    """source: of the shape ("carried", "density"); mesher: "HXT" or "Delaunay".
-
-    factor: element size over the one asked for; sigma: least smoothing over element size.
-    """
+    """A way to mesh a body. source: of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: of the element size;
+    sigma: smallest smoothing over element size."""
 
     source: str
     mesher: str
@@ -53,7 +51,7 @@ class Strategy:
 
 
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
-    """The strategies of a method (`convert.METHODS`), in the order in which they are tried."""
+    """The strategies of a method (`convert.METHODS`), in the order of attempts."""
     sources = [method] if method != "auto" else ["carried", "density"] if has_surface else ["density"]
     return [
         Strategy(source, mesher, factor, sigma)
@@ -64,11 +62,8 @@ def strategies(method: str, has_surface: bool) -> list[Strategy]:
 
 @dataclass(frozen=True)
 class Shape:
-    """A body as a level set of a field.
-
-    volume_error: of the source before correction, relative; pieces: cells (p,3) of each component, largest first;
-    handles: of its surface.
-    """
+    """A body as a level set of a field. volume_error: relative error of the source before correction; pieces: cells (p,3) of each
+    component, largest first; shells: closed surfaces; handles: number of handles of the surfaces."""
 
     field: fields.Field
     level: float
@@ -80,17 +75,18 @@ class Shape:
 
 @dataclass
 class CloudShape:
-    """The points of one body, the points of the others (k,3) m, and the last shape found, which the next strategy may reuse."""
+    """The points of one body, points of other bodies (k,3) m, and the last shape found with its key, which the next strategy can
+    reuse."""
 
     cloud: Cloud
     others: np.ndarray
     cache: tuple[tuple[str, float, float], Shape] | None = None
 
     def find(self, source: str, size: float, least_sigma: float) -> Shape:
-        """The least smoothed shape whose surface has no handles, or the fewest. size: m, of elements.
+        """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size m: of elements.
 
-        Perforated lips are noise that no mesh of this size can follow, hence the search. Raises SplatError where the
-        carried surface does not fit the points.
+        Handles are holes in thin lips, which a mesh of this size cannot resolve. Raises SplatError if the carried surface does not
+        fit the points.
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:
@@ -107,7 +103,8 @@ class CloudShape:
 
 
 def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, sigma: float) -> Shape:
-    """The shape of a cloud at one smoothing (sigma, over the element size, m); others (k,3) m: points of other bodies."""
+    """The shape of a cloud with one smoothing. others (k,3) m: points of other bodies; size m: of elements; sigma: smoothing over
+    size."""
     solid = cloud.solid_volume
     min_void = MIN_VOID * cloud.spacing**3
     if source == "carried":
@@ -127,7 +124,7 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
         raise SplatError(
             f"the volume in the carried surface differs by {error:+.1%} from the points' volume: use method 'density'"
         )
-    # noise is removed before the level is sought, because it counts in the volume
+    # noise is removed first, because its volume would change the level
     metal, _ = fields.clean(metal, 0.5, min_void)
     level = fields.level_of(metal, solid)
     metal, pieces = fields.clean(metal, level, min_void)
@@ -138,16 +135,16 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
 
 
 def _cell_size(x: np.ndarray, h: float) -> float:
-    """A cell size (m), h or larger, that keeps a grid over x (n,3) within MAX_CELLS."""
+    """The smallest cell size (m), at least h, with which a grid over x (n,3) m has at most MAX_CELLS cells."""
     return max(h, float(np.prod(np.ptp(x, axis=0) + 12.0 * h) / MAX_CELLS) ** (1.0 / 3.0))
 
 
 def build_mesh(
     strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float]
 ) -> tuple[np.ndarray, np.ndarray, Report]:
-    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements.
+    """Mesh a body with one strategy: points (n,3) m, tetrahedra (m,4) and report. size m: of elements.
 
-    The wall time of each stage is added to `seconds`. Raises SplatError where a stage fails or the mesh misses a limit.
+    Adds the wall time of each stage to `seconds`. Raises SplatError if a stage fails or the mesh is outside a limit.
     """
     size = strategy.factor * size
     cloud = body.cloud
@@ -164,8 +161,8 @@ def build_mesh(
     report["volume_error_before"] = shape.volume_error
     if (outer := sum(enclosed_volume(*shell) > 0.0 for shell in shape.shells)) != 1:
         raise SplatError(f"the surface consists of {outer} separate pieces")
-    level_set = surface.LevelSet(shape.field, shape.level, size)
-    shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in shape.shells])
+    project = surface.projection(shape.field, shape.level, size)
+    shells = timed("surface", lambda: [even(*shell, size, project) for shell in shape.shells])
     shells, moved = surface.correct_volume(shells, solid, MAX_OFFSET * size)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     for shell in shells:

@@ -1,4 +1,4 @@
-"""Measures of a tetrahedral mesh: shape quality, dihedral angles, stable time step, connected parts, fit to its cloud."""
+"""Measures of a tetrahedral mesh: element quality, dihedral angles, stable time step, connected parts, fit to its cloud."""
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -13,20 +13,21 @@ _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
 def _face_normals(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Outward normals (m,4,3) of the faces opposite each corner, as long as twice their area."""
+    """Outward normals (m,4,3) of the faces opposite to each corner, with a length of twice the area."""
     corner = points[tets]
     return np.stack([np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]) for a, b, c in FACES], axis=1)
 
 
 def gamma(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Radius of the inscribed sphere over the longest edge, 1 for a regular tetrahedron (m,): gmsh's gamma; < 0 inverted."""
+    """Quality gamma (m,) of gmsh: radius of the inscribed sphere over the longest edge, scaled to 1 for a regular tetrahedron;
+    negative for an inverted one."""
     area = 0.5 * np.linalg.norm(_face_normals(points, tets), axis=2).sum(axis=1)
     longest = np.max([np.linalg.norm(points[tets[:, i]] - points[tets[:, j]], axis=1) for i, j in _EDGES], axis=0)
     return 6.0 * np.sqrt(6.0) * volumes(points, tets) / np.maximum(area * longest, 1e-300)
 
 
 def dihedral_angles(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Angles (m,6) between the faces, rad."""
+    """Dihedral angles (m,6) between the faces, rad."""
     n = _face_normals(points, tets)
     n /= np.maximum(np.linalg.norm(n, axis=2), 1e-300)[:, :, None]
     return np.stack([np.pi - np.arccos(np.clip(np.einsum("ij,ij->i", n[:, i], n[:, j]), -1, 1)) for i, j in _EDGES], 1)
@@ -35,9 +36,9 @@ def dihedral_angles(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Stable explicit time step of each element times the longitudinal wave speed, (m,) m.
 
-    2 / omega of the element's highest elastic mode, bounded by omega^2 <= 4 c^2 (0.43 tr M + 0.57 lambda_max(M)),
-    M = sum of b (x) b over its shape function gradients b: the bound of `coupler.fe.kernels.stable_dt` for a
-    Poisson's ratio of 0.3 (0.43 is lambda / (lambda + 2 G)).
+    The step is 2 / omega, with the bound omega^2 <= 4 c^2 (0.43 tr M + 0.57 lambda_max(M)), M = sum of b (x) b over the gradients b
+    of the shape functions: the bound of `coupler.fe.kernels.stable_dt` for Poisson's ratio 0.3, where lambda / (lambda + 2 G) =
+    0.43.
     """
     b = -_face_normals(points, tets) / (6.0 * np.maximum(volumes(points, tets), 1e-300))[:, None, None]
     M = np.einsum("eki,ekj->eij", b, b)
@@ -45,17 +46,16 @@ def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def pieces(points: np.ndarray, tets: np.ndarray) -> int:
-    """Number of parts of a mesh that share no node."""
+    """Number of separate parts of a mesh, which share no nodes."""
     nodes, conn = compact(points, tets)
     pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
     return int(connected_parts(pairs, len(nodes))[0])
 
 
 def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
-    """Width and height of a mesh and of the carried surface (else of the points), m, and distances of points outside, in spacings.
-
-    width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than
-    half a spacing outside; outside_max: the farthest.
+    """Fit of a mesh to its cloud. width_m, top_m: width and top of the mesh; source_width_m, source_top_m: of the carried surface,
+    or of the points if there is none; outside_half: share of the points more than half a spacing outside the mesh; outside_max:
+    largest such distance, in spacings. A width is the diameter of the circle with the area of the body seen from above.
     """
     x, triangles = compact(points, boundary_faces(tets)[0])
     source = cloud.x if cloud.surface is None else cloud.surface[0]

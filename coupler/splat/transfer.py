@@ -1,10 +1,9 @@
-"""State from the points of a cloud to the nodes and elements of its mesh.
+"""Transfer of the state from the points of a cloud to the nodes and elements of its mesh.
 
-Linear moving least squares (Lancaster & Salkauskas 1981), then a correction that conserves sums. Velocities get the rigid
-motion a + omega x r that restores linear and angular momentum, and a scaling of the remainder that restores the kinetic energy.
-Temperature, plastic strain, every other number that the metal carries, and energy get a uniform shift that restores their sum over the
-mass. No value leaves the range of
-the points it comes from by more than EXTRAPOLATION of that range, and no temperature falls below that of the coldest point.
+Linear moving least squares (Lancaster & Salkauskas 1981), then corrections that conserve sums. Velocities: a rigid motion a + omega
+x r restores linear and angular momentum, and a factor of the non-rigid part restores the kinetic energy. Temperature, plastic
+strain, all other scalars of the metal, and energy: a uniform shift restores their sum over the mass. A fitted value exceeds the
+range of its points by at most EXTRAPOLATION of this range, and no temperature is below that of the coldest point.
 """
 
 from typing import Any
@@ -18,10 +17,10 @@ from ..physics.metal import carried
 from .cloud import Cloud
 from .kernels import least_squares_weights
 
-NEIGHBOURS = 16  # the twelve nearest of a face-centred cubic lattice and a few more
-MAX_SCALING = 0.1  # of velocities, to conserve the kinetic energy: more would amplify noise of the points
+NEIGHBOURS = 16  # the twelve nearest neighbours of a face-centred cubic lattice and four more
+MAX_SCALING = 0.1  # of velocities, to conserve the kinetic energy: a larger factor would amplify noise
 EXTRAPOLATION = 0.3  # of a fit, over the range of its points
-RIDGE = 0.02  # of a spacing: points with less thickness count as a plane
+RIDGE = 0.02  # spacings: a set of points with a smaller thickness counts as a plane
 
 
 class Fit:
@@ -36,7 +35,7 @@ class Fit:
         )
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Values of the points (n,) or (n,k), at the points y: (m,) or (m,k)."""
+        """Fitted values (m,) or (m,k) at y, from values (n,) or (n,k) at x."""
         if values.ndim == 2:
             return np.stack([self(column) for column in values.T], axis=1)
         around = values[self.near]
@@ -51,7 +50,7 @@ def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray,
 
 
 def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """The velocities (n,3) of the rigid motion with momenta P and L, as in `with_momentum`."""
+    """Velocities (n,3) of the rigid motion with momenta P and L, as in `with_momentum`."""
     centre = mass @ x / mass.sum()
     r = x - centre
     inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)
@@ -59,7 +58,8 @@ def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.n
 
 
 def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) -> np.ndarray:
-    """Velocities (n,3) of the same momenta whose non-rigid part is scaled (MAX_SCALING at most) to a kinetic energy, J."""
+    """Velocities (n,3) with the same momenta and the kinetic energy `kinetic`, J. Their non-rigid part is scaled, by at most
+    MAX_SCALING."""
     whole = rigid(x, mass, mass @ v, mass @ np.cross(x, v))
     own = v - whole
     moving, rest = (0.5 * float(mass @ np.einsum("ij,ij->i", w, w)) for w in (own, whole))
@@ -68,9 +68,9 @@ def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) 
 
 
 def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
-    """Values (n,) with a uniform shift so that weights @ values is `total`, none below `floor`.
+    """Values (n,) shifted uniformly so that weights @ values is `total`, none below `floor`.
 
-    Values at the floor stay there and the others are shifted further. A total below floor times the weights gives the floor.
+    Values at the floor stay there, and the others are shifted further. If `total` is too small for the floor, all values are the floor.
     """
     whole = weights.sum()
     if floor is None:
@@ -89,11 +89,10 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
 
 
 def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of a mesh as in `cloud.Body`, for the fields of the cloud; relative errors.
+    """Fields of `cloud.Body` on a mesh of points (n,3) m and tets (m,4), from the fields of the cloud; and their relative errors.
 
-    points (n,3) m, tets (m,4). The errors are those of each sum over the mass (temperature, plastic strain, energy, linear and
-    angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
-    sigma : sigma (stress_square), which is not corrected.
+    Errors of sums over the mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy; with `_raw`
+    before the correction. stress_square: error of the volume integral of sigma : sigma, which is not corrected.
     """
     volume = volumes(points, tets)  # m3
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
