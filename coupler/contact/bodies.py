@@ -1,4 +1,4 @@
-"""Contact between the bodies of one finite-element domain: unilateral, with friction, beside the bonds between them."""
+"""Contact between the bodies of one finite-element domain: unilateral, with friction, in addition to the bonds between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
 class ContactPast(NamedTuple):
-    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node."""
+    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node; sums: as in `Contact`."""
 
     nodes: Histories
     sums: ContactSums = ContactSums()
 
     def renumbered(self, node: np.ndarray, count: int) -> "ContactPast":
-        """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 of a removed node."""
+        """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 for a removed node."""
         nodes, kept = new_history(count), node >= 0
         nodes[node[kept]] = self.nodes[kept]
         return self._replace(nodes=nodes)
@@ -36,26 +36,26 @@ class ContactPast(NamedTuple):
 
 @dataclass(eq=False)
 class BodyContactState:
-    """pairs: contact of points and facets; bonded (N,): nodes whose compression a bond resists."""
+    """State of a `BodyContact`. pairs: contact of points and facets; bonded (N,): mask of the nodes whose compression a bond
+    resists."""
 
     pairs: ContactState
     bonded: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
 class BodyContact(BodyContactState):
-    """Surface nodes of each body against the facets of all others, so that neither side of a pair lies in the other.
+    """Contact of the surface nodes of each body with the facets of all other bodies: neither side of a pair penetrates the other.
 
     The stiffness uses the mean area per node, from the facet spacing of the body's surface; the substrate, whose mesh coarsens
-    outwards, uses the spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body it is bonded
-    to, only with other bodies; an unbonded node has contact with all other bodies. Bodies with fitted interfaces
-    (`Interface.fitted`) start with almost zero contact force.
+    outwards, uses the spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body to which it
+    is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
     """
 
     pairs: Contact
 
     def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
-        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError unless there is one bulk
-        modulus for each body."""
+        """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError unless there is one
+        bulk modulus for each body."""
         if len(bulk_modulus) != surfaces.bodies:
             raise SolverError(
                 f"contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, got {len(bulk_modulus)}"
@@ -79,7 +79,7 @@ class BodyContact(BodyContactState):
             facing=self._facing, skin=SKIN,
         )  # fmt: skip
         super().__init__(pairs, np.zeros(len(x), bool))
-        #: Step (s) of the penalty springs, and the masses and the number of moving nodes that it is of.
+        #: Stable time step (s) of the penalty springs, and the masses and the number of moving nodes for which it was computed.
         self._stable_dt, self._weighed, self._moving = np.inf, np.zeros(0), 0
         elements = int(surfaces.element.max(initial=0)) + 1
         behind = np.sort(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
@@ -87,8 +87,8 @@ class BodyContact(BodyContactState):
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """The facets of others that each body's nodes can touch: surfaces farther apart than half the size of the largest splat do not
-        touch during an impact."""
+        """For each body, the facets of other bodies that its nodes can touch: surfaces do not touch during an impact if their
+        distance is larger than half the size of the largest splat."""
         s = self.surfaces
         low, high = s.boxes(x)
         boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
@@ -99,20 +99,19 @@ class BodyContact(BodyContactState):
 
     @property
     def energy(self) -> float:
-        """Energy that the contact stores, that friction has turned into heat, and that dropped contacts had stored, J."""
+        """Sum of the stored energy, the heat of friction and the energy of dropped contacts, J."""
         c = self.pairs
         return c.penalty_energy + c.sums.friction_heat + c.sums.dropped_energy
 
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf, moving: int | None = None) -> float:
-        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg, of which only the first `moving` ever move
-        (default: all).
+        """Stable time step (s) of bodies with penalty springs. mass (N,) kg: of the nodes, of which only the first `moving` can
+        move (default: all); alone: stable step (s) of the bodies without the springs.
 
-        alone: the step (s) the bodies can take without them; frequencies of systems that act in parallel add up in squares at most, so
-        that the step of both together is the shorter.
+        The squared frequency of the sum of two stiffnesses is at most the sum of their squared frequencies.
         """
         moving = len(mass) if moving is None else moving
         if mass is not self._weighed or moving != self._moving:
-            # not only what the last search has seen: a resumed run searches at other times
+            # over all facets that a node can ever touch: a resumed run searches at other times
             self._weighed, self._moving, self._stable_dt = mass, moving, np.inf
             for body, facing in enumerate(self._facing):
                 own, others = self.surfaces.nodes_of(body), self.surfaces.corners_of(facing)
@@ -148,26 +147,29 @@ class BodyContact(BodyContactState):
             c.sums.lost += given_up + before - self.energy
 
     def ignore_depth(self, depth: np.ndarray) -> None:
-        """Start contacts of nodes without contact force that lie depth (N,) m deep in another body; all of this depth is ignored."""
+        """Start contacts of nodes that have no contact force and lie depth (N,) m deep in another body. All of this depth is
+        ignored."""
         c, own = self.pairs, depth[self.pairs.points.node]
         new = (own > 0.0) & (c.depth == 0.0)
         c.history["ignored"][new, 0] = own[new]
         c.expire(new)
 
     def reduce_overlap(self, share: float) -> None:
-        """Ignore only this share of the depths that the contacts of active nodes ignore: the bodies are pushed apart."""
+        """Multiply the ignored depths of active nodes by `share`: the contact pushes the bodies apart."""
         ignored, rows = self.pairs.history["ignored"], self.pairs.rows
         ignored[rows] = np.where((ignored[rows] > 0.0) & (ignored[rows] < ALL), share * ignored[rows], ignored[rows])
 
     def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3). active: as in `search`."""
+        """Add the contact forces at x m and v m/s (N,3) to f (N,3) N, and update friction for a step of dt s. active: as in
+        `search`."""
         c, nodes = self.pairs, Nodes(x, v, f, len(x) if active is None else active)
         k.gather(c.rows, c.points, nodes)
         c.forces(dt, nodes)
         k.scatter(c.rows, c.points, nodes)
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
-        """Heat of friction since the last call, for `Target.warm`: (elements, J), the elements behind nodes and facets that slid."""
+        """Elements behind the nodes and facets that slid since the last call, and the heat of friction (J) of each: arguments of
+        `Target.warm`."""
         c, of_node = self.pairs, np.zeros(len(self.bonded))
         of_node[c.points.node] = c.heat_point
         of_pair = (of_node * self._share_of_node)[self._behind[0]]
@@ -177,17 +179,14 @@ class BodyContact(BodyContactState):
         c.heat_point[:], c.heat_face[:] = 0.0, 0.0
         return elements, heat
 
-    def state(self) -> BodyContactState:
-        """State of the contact, for a checkpoint."""
-        return copied(self)
-
     def restore(self, state: BodyContactState) -> None:
-        """Go back to a `state` of a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
+        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError where it does not fit."""
         put(state, self)
+        self.pairs.expire()
         self._is_new = False
 
     def past(self) -> ContactPast:
-        """Data from which the contact of another set of bodies continues. Call `heat` before."""
+        """Data from which the contact of another set of bodies continues. Call `heat` first."""
         c, nodes = self.pairs, new_history(len(self.bonded))
         nodes[c.points.node] = c.history
         return ContactPast(nodes, copied(c.sums))
@@ -198,4 +197,4 @@ class BodyContact(BodyContactState):
         c.history[:] = past.nodes[c.points.node]
         c.history["body"] = ANY  # the bodies had other numbers
         c.sums = copied(past.sums)
-        c.expire(np.ones(len(c.history), bool))
+        c.expire()

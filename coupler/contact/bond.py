@@ -7,36 +7,39 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..core.arrays import SpringTable
-from ..core.records import Rows, concatenate, copied, new_rows, take
+from ..core.records import Rows, concatenate, new_rows, take
 from ..errors import SolverError
 from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
 
-# bulk moduli per spacing: as soft as a quarter of a layer of elements, so that waves notice it no more than a change of mesh
+# bulk moduli per spacing: the bond is as stiff as a quarter of a layer of elements and reflects waves no more than a change of mesh
 BOND_STIFFNESS = 4.0
-MAX_SLIDE = 0.5  # spacings: a bond opened further no longer lies on its triangle, and compression passes to the contact
+MAX_SLIDE = (
+    0.5  # spacings: with a larger slip the bond can lie beside its triangle, and the contact resists its compression
+)
 
 
 def penalty(bulk_modulus: float, spacing: float) -> float:
-    """Stiffness of a bond in Pa/m: BOND_STIFFNESS K / h, K (Pa) the softer bulk modulus, h (m) the spacing of the tied nodes."""
+    """Stiffness of a bond, BOND_STIFFNESS K / h, Pa/m. K: softer bulk modulus, Pa; h: spacing of the tied nodes, m."""
     return BOND_STIFFNESS * bulk_modulus / spacing
 
 
 @dataclass(eq=False)
 class Bond:
-    """Nodes of one body tied to fixed points on facets of another, each by a cohesive spring of its own.
+    """Cohesive springs between nodes of one body and points on facets of another body.
 
     Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent: the
-    envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, linear law of mixed modes (G_I/G_Ic +
-    G_II/G_IIc = 1) for the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage
-    never heals; compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the
-    contact of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
+    envelope of Camanho & Davila (2002), NASA/TM-2002-211737, with a quadratic onset criterion and the linear mixed-mode law
+    G_I/G_Ic + G_II/G_IIc = 1 at the end. Opening beyond the strength is permanent and dissipates; unloading has the initial
+    stiffness. Damage never heals. The bond resists compression in full until it is broken or has slid by half a spacing
+    (`release`); then the contact of the bodies resists it. A bond of infinite strength never breaks, one of zero energy breaks at
+    the strength, and one of infinite energy flows at the strength.
 
-    Of n bonds: nodes, or points that are not nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
-    Pa and energy (n,2) J/m2, normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0:
-    none); loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m, elastic;
-    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies. stored,
-    dissipated: energies of all, J.
+    Arrays of n bonds: nodes, or points that are not nodes; triangles, weights: the point on a triangle; gap m; area m2; stiffness
+    Pa/m; strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the strength that remains after slip under contact
+    pressure; loose: the contact resists compression; damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening;
+    traction (n,2) Pa; slid m: permanent slip; spent J: dissipated energy; heated J: part of it that has become heat of the bodies.
+    stored, dissipated: energies of all bonds, J.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
@@ -61,8 +64,8 @@ class Bond:
     def __post_init__(self) -> None:
         with np.errstate(divide="ignore"):
             self._inverses = 1.0 / self.strength, 1.0 / self.energy
-        self._uncovered = np.full(len(self), -1.0)  # depth of a contact, where there is none
-        self._moved = np.zeros(0, np.int64)  # rows whose node `reduce_overlap` leads to its new facet
+        self._uncovered = np.full(len(self), -1.0)  # depth of a contact: no contact
+        self._moved = np.zeros(0, np.int64)  # rows whose node `reduce_overlap` moves to its new facet
 
     @classmethod
     def tie(
@@ -71,11 +74,11 @@ class Bond:
         shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
         rewelds: float | np.ndarray = 0.0, loose: bool = False,
     ) -> "Bond":  # fmt: skip
-        """Tie points `nodes` (n,) of p (.,3) m to triangles (n,3) of nodes x (N,3) m as they lie now, without a force; area (n,) m2 of
-        each, those without area are left out; stiffness Pa/m (see `penalty`).
+        """Bonds between points `nodes` (n,) of p (.,3) m and triangles (n,3) of nodes x (N,3) m, without force in these positions.
+        area (n,) m2: bonds of zero area are left out; stiffness Pa/m: see `penalty`.
 
-        strength Pa and energy J/m2: of the normal direction, one value or (n,); the shear values are equal to them by default. rewelds,
-        loose: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
+        strength Pa, energy J/m2: in the normal direction, one value or (n,); the shear values are equal to them by default.
+        rewelds, loose: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
         """
         kept = area > 0.0
         nodes, triangles = np.asarray(nodes[kept], np.int64), np.ascontiguousarray(triangles[kept], np.int64)
@@ -95,7 +98,7 @@ class Bond:
 
     @classmethod
     def between(cls, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float, **law: Any) -> "Bond":
-        """`tie` the nodes of an interface to its facets, with the same law."""
+        """Bonds between the nodes of an interface and its facets. law: as in `tie`."""
         return cls.tie(where.nodes, surfaces.facets[where.facet], x, x, where.area, stiffness, **law)
 
     def __len__(self) -> int:
@@ -107,15 +110,15 @@ class Bond:
         return self.damage >= 1.0
 
     def forces(self, x: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m, and update the damage. active: number of active nodes
-        (default: all); bonds between inactive nodes keep their forces."""
+        """Add the forces at positions x (N,3) m to f (N,3) N, and update the damage. active: number of active nodes (default: all);
+        bonds between inactive nodes keep their forces."""
         self.forces_on(x, f, x, f, self._uncovered, len(x) if active is None else active)
 
     def forces_on(
         self, xp: np.ndarray, f_point: np.ndarray, x: np.ndarray, f: np.ndarray, depth: np.ndarray, active: int
     ) -> None:  # fmt: skip
-        """`forces`, where the tied points xp are not nodes. depth (n,) m: depth of a contact that presses the points, for bonds that
-        leave compression to it (`bond_kernels.bond_forces`)."""
+        """`forces` of bonds whose points xp are not nodes. depth (n,) m: penetration of each point in its contact
+        (`bond_kernels.bond_forces`)."""
         ties = k.Ties(
             self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, *self._inverses, self.rewelds,
             self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
@@ -130,39 +133,39 @@ class Bond:
 
     @property
     def work(self) -> float:
-        """Energy that the bonds store and have dissipated, J."""
+        """Stored and dissipated energy of all bonds, J."""
         return self.stored + self.dissipated
 
     @property
     def resistance(self) -> np.ndarray:
-        """Energy (n,) J that each bond can still take up in tension; infinite where it does not break."""
+        """Energy (n,) J that each bond can still absorb in tension; infinite for a bond that does not break."""
         with np.errstate(invalid="ignore"):
             return np.where(self.broken, 0.0, self.area * self.energy[:, 0] * self.soundness)
 
     @property
     def stored_by_each(self) -> np.ndarray:
-        """Energy (n,) J that each bond stores."""
+        """Stored energy (n,) J of each bond."""
         return 0.5 * self.area * (self.traction**2).sum(axis=1) / self.stiffness
 
     @property
     def soundness(self) -> np.ndarray:
-        """Share (n,) of the fracture energy that each bond has left: the square of the share of its strength that is left."""
+        """Remaining share (n,) of the fracture energy of each bond: the square of the remaining share of its strength."""
         return (1.0 - self.damage) ** 2
 
     def load(self, size: int) -> np.ndarray:
-        """Row sums (size,) of the springs' stiffness matrix, N/m: the largest sum / mass bounds omega^2 (Gershgorin)."""
+        """Row sums (size,) N/m of the stiffness matrix of all bonds: the largest row sum / mass is a bound on omega^2 (Gershgorin)."""
         ends = np.concatenate([self.nodes[:, None], self.triangles], axis=1)
         return np.bincount(ends.ravel(), self.row_sums().ravel(), size)
 
     def row_sums(self) -> np.ndarray:
-        """Row sums (n,4) of the stiffness matrix of each spring, N/m: of its point, and of the corners of its triangle."""
+        """Row sums (n,4) N/m of the stiffness matrix of each bond: row of its point, rows of the corners of its triangle."""
         spring, share = self.stiffness * self.area, np.abs(self.weights)
         whole = 1.0 + share.sum(axis=1)
         return np.concatenate([(spring * whole)[:, None], (spring[:, None] * share) * whole[:, None]], axis=1)
 
     def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add to f (N,3) N the product of the springs' stiffness matrix with a small motion w (N,3) m; no bond may be broken. active:
-        number of nodes that move, the first ones (default: all)."""
+        """Add the product of the stiffness matrix and a small motion w (N,3) m to f (N,3) N; no bond may be broken. active: number
+        of nodes that move, the first ones (default: all)."""
         strength = self.stiffness * self.area
         k.spring_forces(self.nodes, self.triangles, self.weights, strength, w, len(w) if active is None else active, f)
 
@@ -174,9 +177,9 @@ class Bond:
         )
 
     def release(self) -> float:
-        """Drop broken bonds, and leave the compression of bonds with a slip above MAX_SLIDE to the contact.
+        """Remove broken bonds, and make bonds with a slip above MAX_SLIDE loose: the contact resists their compression.
 
-        Returns the energy (J) that their compression stored.
+        Returns the energy (J) that the compression of these bonds stored.
         """
         if len(self) == 0:
             return 0.0
@@ -192,12 +195,12 @@ class Bond:
         return energy
 
     def compression(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Depth (k,) m of the nodes of bonds `rows` (k,) below their rest height, negative above. x (N,3) m."""
+        """Compression (k,) m of bonds `rows` (k,): depth of their nodes below gap, negative above. x (N,3) m."""
         return np.asarray(self.gap[rows] - _foot(x[self.nodes[rows]], x[self.triangles[rows]])[1])
 
     def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:
-        """Tie the nodes of bonds `rows` (k,) to triangles (k,3) of the body, others or their own, as they lie now, without a force:
-        what the bonds stored is dissipated. `reduce_overlap` leads nodes that lie behind their triangle to it. x (N,3) m."""
+        """Move bonds `rows` (k,) to triangles (k,3) of the same body, without force in the positions x (N,3) m: their stored energy
+        is dissipated. `reduce_overlap` moves nodes that lie behind their triangle to its surface."""
         if len(rows) == 0:
             return
         lost = float(self.stored_by_each[rows].sum())
@@ -208,8 +211,8 @@ class Bond:
         self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
 
     def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
-        """`move` bonds `rows` (k,) to their own triangles, and make them stiffer by factors (k,), but no stiffer (N/m) than the median
-        of all bonds; bonds that are as stiff do not change. x (N,3) m."""
+        """Increase the stiffness of bonds `rows` (k,) by factors (k,), at most to the median of all bonds, N/m. Bonds that become
+        stiffer start again without force in the positions x (N,3) m (`move`)."""
         if len(rows) == 0:
             return
         springs = self.stiffness * self.area
@@ -219,41 +222,36 @@ class Bond:
         self.stiffness[rows] *= factors
 
     def reduce_overlap(self, share: float) -> None:
-        """Reduce the rest depths of bonds that `move` left behind their triangles to this share of them."""
+        """Multiply the negative gaps of bonds that `move` has moved by `share`."""
         self.gap[self._moved] *= share
         if share == 0.0:
             self._moved = self._moved[:0]
 
     def drop(self, gone: np.ndarray) -> None:
-        """Remove bonds (mask). The energy that they store is dissipated."""
+        """Remove the bonds of a mask (n,). Their stored energy is dissipated."""
         lost = float(self.stored_by_each[gone].sum())
         self.stored, self.dissipated = self.stored - lost, self.dissipated + lost
         self._keep(~gone)
 
     def _keep(self, which: np.ndarray) -> None:
-        """Keep the bonds of a mask (n,) alone."""
+        """Keep only the bonds of a mask (n,)."""
         vars(self).update(vars(take(self, which)))
 
     def renumber(self, node: np.ndarray) -> None:
-        """Follow a new numbering of the domain. node (N,): new number of each old one."""
+        """Adopt a new numbering of the nodes. node (N,): new number of each node."""
         self.nodes, self.triangles = node[self.nodes].astype(np.int64), node[self.triangles].astype(np.int64)
 
     @classmethod
     def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
-        """One set out of several, one or more, in their order; their energies are added."""
+        """One set of bonds from one or more sets, in their order; their energies are added."""
         stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
         return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
-    def state(self) -> "Bond":
-        """A copy of the bonds, for a checkpoint."""
-        return copied(self)
-
 
 def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (n,3) and height (n,) m of points p (n,3) above the planes of triangles (n,3,3).
+    """Barycentric coordinates (n,3) and height (n,) m of points p (n,3) above the planes of triangles (n,3,3).
 
-    A point beyond the rim gets a slightly negative weight: so its bond has no slip to begin with, and needs no
-    direction within the triangle to remember.
+    A point beyond the rim gets a slightly negative coordinate, so that its bond begins without slip.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
@@ -265,11 +263,13 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check(bond: Bond) -> None:
-    """Raise SolverError unless the law of every bond can be followed."""
+    """Raise SolverError unless the law of every bond is admissible."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
         raise SolverError("a bond needs positive strength and stiffness, and an energy of zero or more")
-    full = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
+    full = strength**2 / (
+        2.0 * stiffness[:, None]
+    )  # J/m2 in the spring at the strength; infinite for infinite strength
     short = (energy > 0.0) & (energy < full) & np.isfinite(full)
     if short.any():
         least = float(full[short].max())

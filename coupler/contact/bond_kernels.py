@@ -1,4 +1,4 @@
-"""Bonds of nodes to triangles: damage, cohesive forces (numba). Rows in order: the same sums every time."""
+"""Bonds of nodes to triangles: damage and cohesive forces (numba). Sums run in the order of the rows, so that they are reproducible."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -14,14 +14,14 @@ class Ties(NamedTuple):
     """Bonds between points and points on triangles, one row per bond as in `bond.Bond`. Columns: normal, shear. inv_strength (n,2)
     1/Pa; inv_energy (n,2) m2/J: 1 / fracture energy.
 
-    gap: distance of the point above the triangle, along its normal n, at which the bond has no force. With k the stiffness, Pa/m, and d
-    from the bond's point on the triangle to the other point, the potential is
+    gap: height of the point above the triangle, along its normal n, at which the bond has no normal force. With the stiffness k,
+    Pa/m, and the vector d from the bond's point on the triangle to the other point, the potential is
 
         U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
 
-    and the forces are its gradient, including the term of n: this term gives the couple that balances the moment of the forces across
-    the gap. Where a bond yields, the permanent part of delta is added to gap, and that part of s moves the point on the triangle:
-    unloading is elastic, to a residual opening. opening: elastic, max(delta, 0) n + s.
+    The forces are its gradient, including the derivative of n: this term gives the couple that balances the moment of the forces
+    across the gap. When a bond yields, the permanent part of delta is added to gap, and the permanent part of s moves the point on
+    the triangle. Unloading is elastic, to a residual opening. opening: elastic part, max(delta, 0) n + s.
     """
 
     nodes: Ints
@@ -43,7 +43,7 @@ class Ties(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def softening(a: float, b: float, inv_G_n: float, inv_G_s: float) -> float:
-    """2 (1 - D) dD / dl of `yielding`, m2/J. a, b: tractions over their strengths."""
+    """The term 2 (1 - D) dD / dl of `yielding`, m2/J. a, b: normal and shear traction over strength."""
     e = a * a * inv_G_n if a > 0.0 else 0.0
     return e + b * b * inv_G_s if b > 0.0 else e
 
@@ -52,11 +52,11 @@ def softening(a: float, b: float, inv_G_n: float, inv_G_s: float) -> float:
 def flow(
     a: float, b: float, soft_n: float, soft_s: float, inv_G_n: float, inv_G_s: float, intact: float
 ) -> float:  # fmt: skip
-    """The multiplier dl of `yielding` that brings tractions back to the locus; infinite where nothing of the bond is left.
+    """The multiplier dl of `yielding` that returns the tractions to the yield locus; infinite if the bond breaks completely.
 
-    a, b: trial tractions over their strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| of the
-    tractions at the end of the step, m + dl softening / 2 m = intact: regula falsi (Illinois) in y = c dl / (1 + c dl), which is linear
-    in one direction.
+    a, b: trial tractions over strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| at the end of the
+    step, m + dl softening / 2 m = intact. The solver is regula falsi (Illinois) in y = c dl / (1 + c dl), in which the equation is
+    linear for tension or shear alone.
     """
     c = 0.0
     la = lb = 0.0  # direction of the tractions as dl grows without bound
@@ -66,7 +66,7 @@ def flow(
         c, lb = max(c, soft_s), b / soft_s
     low, above = 0.0, sqrt(a * a + b * b) - intact
     high, below = 1.0, softening(la, lb, inv_G_n, inv_G_s) / (2.0 * sqrt(la * la + lb * lb)) - intact
-    if below >= -1e-14 * above:  # what is left is lost in rounding
+    if below >= -1e-14 * above:  # the remaining strength is within rounding of zero
         return np.inf
     dl, side = 0.0, 0
     for _ in range(100):
@@ -92,16 +92,16 @@ def flow(
 def yielding(
     wide: float, slip: float, k: float, inv_strength: Floats, inv_G: Floats, D: float, most: float
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Shares of the elastic opening and of the elastic slip that become permanent, and the damage then, of a bond of damage D.
+    """Permanent shares of the elastic opening and of the elastic slip in this step, and the new damage. D: damage before the step.
 
     wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; inv_strength (2,) 1/Pa: in tension and shear; inv_G (2,) m2/J: 1 /
-    fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of Camanho & Davila (2002),
-    NASA/TM-2002-211737. Beyond it the opening flows normal to this locus (Drucker 1951):
+    fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset criterion of Camanho &
+    Davila (2002), NASA/TM-2002-211737. At this locus the opening flows normal to it (Drucker 1951):
 
         dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = (t_n dp_n / G_I + t_s dp_s / G_II) / 2 (1 - D)
 
-    Then in one direction the softening is linear, and tractions that keep their ratio end where G_I/G_Ic +
-    G_II/G_IIc = 1. t_n, t_s and D are those of the end of the step. From the damage `most` on the bond flows at the strength left.
+    Then the softening is linear for tension or shear alone, and tractions of constant ratio end at G_I/G_Ic + G_II/G_IIc = 1.
+    t_n, t_s and D are values at the end of the step. A bond that has reached the damage `most` flows at its remaining strength.
     """
     a, b = k * wide * inv_strength[0], k * slip * inv_strength[1]
     if a * a + b * b <= (1.0 - D) ** 2:
@@ -124,13 +124,13 @@ def yielding(
 def bond_forces(
     xp: Floats, x: Floats, b: Ties, depth: Floats, active: int, f_point: Floats, f: Floats
 ) -> tuple[float, float]:  # fmt: skip
-    """Forces of cohesive bonds between points xp and triangles of nodes x (N,3) m, equal and opposite in force and moment, added to
-    f_point and f (N,3). The bonds are updated. Returns the energy stored, and that dissipated by this call, J.
+    """Add the forces of cohesive bonds between points xp and triangles of nodes x (N,3) m to f_point and f (N,3), and update the
+    bonds. Returns the stored energy and the energy dissipated by this call, J. Forces and moments of each bond are in balance.
 
-    depth (n,) m: penetration of a contact that presses point i; 0 where the contact presses beside it (`in_contact`); negative where it
-    is free. In contact the net normal traction is compressive: delta is 0 and the gap follows the surface, so that the bond opens from
-    where the contact lets go; slip then takes no more than the share 1 - rewelds of the strength. loose bonds leave compression to a
-    contact. active: nodes that move, the first ones; bonds between others stay as they are, and add no forces.
+    depth (n,) m: positive: penetration of point i in its contact; 0: only a neighbour of the point is in contact (`in_contact`);
+    negative: no contact. In contact the normal traction is compressive: delta is 0 and gap follows the surface, so that the opening
+    starts where the contact ends. Slip then reduces the strength by at most the share 1 - rewelds. loose bonds leave compression
+    to the contact. active: number of nodes that move, the first ones; bonds between other nodes do not change and add no forces.
     """
     stored = lost = 0.0
     for i in range(len(b.nodes)):
@@ -152,7 +152,7 @@ def bond_forces(
         if depth[i] > 0.0 or (depth[i] == 0.0 and b.traction[i, 0] <= 0.0):
             b.gap[i] = h + depth[i]
             most -= b.rewelds[i]
-            if b.traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
+            if b.traction[i, 0] > 0.0:  # the contact closes: the energy of the opening is lost
                 loss = 0.5 * b.area[i] * b.traction[i, 0] ** 2 / k
                 along = b.opening[i, 0] * n0 + b.opening[i, 1] * n1 + b.opening[i, 2] * n2
                 b.opening[i, 0] -= along * n0
@@ -171,14 +171,14 @@ def bond_forces(
             b.damage[i] = D
             b.gap[i] += share * wide
             b.slid[i] += part * slip
-            # the foot moves on the triangle: dw = grad w . (part s)
+            # the bond's point moves on the triangle: dw = grad w . (part s)
             db = part * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
             dc = part * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
             wa, wb, wc = wa - db - dc, wb + db, wc + dc
             b.weights[i, 0], b.weights[i, 1], b.weights[i, 2] = wa, wb, wc
             p0, p1, p2 = share * wide * n0 + part * s0, share * wide * n1 + part * s1, share * wide * n2 + part * s2
             o0, o1, o2 = o0 - p0, o1 - p1, o2 - p2
-            # work of the mean traction of the step
+            # work of the mean traction in the step
             along = p0 * (b.opening[i, 0] + o0) + p1 * (b.opening[i, 1] + o1) + p2 * (b.opening[i, 2] + o2)
             loss += max(0.5 * k * b.area[i] * along, 0.0)
             delta = min(delta, 0.0) + (1.0 - share) * wide
@@ -205,8 +205,8 @@ def bond_forces(
 def _add_reaction(
     f: Floats, t: Ints, w: Floats, tn: float, stiff: float, turn: float, n: Vector, s: Vector, u: Vector, v: Vector
 ) -> None:  # fmt: skip
-    """The reaction to the force -(tn n + stiff s), N, on the corners t of a triangle with edges u and v, m, at the weights w. turn N/m:
-    of the couple, dU/dn = turn d with d n = (1 - n n) d(u x v) / size."""
+    """Add the reaction to the force -(tn n + stiff s), N, to the corners t of a triangle. u, v: its edges, m; w: barycentric
+    coordinates of the bond's point; turn N/m: factor of the couple, from dU/dn with dn = (1 - n n) d(u x v) / |u x v|."""
     b, c = cross(v, s), cross(s, u)
     for d in range(3):
         force, couple_b, couple_c = -(tn * n[d] + stiff * s[d]), -turn * b[d], -turn * c[d]
@@ -219,10 +219,10 @@ def _add_reaction(
 def in_contact(
     rows: Ints, start: Ints, ring: Ints, penetration: Floats, gaps: Floats, reach: float, depth: Floats
 ) -> None:  # fmt: skip
-    """Which points of a surface are pressed against another: depth (n,) m of the points `rows` for `bond_forces` is written.
+    """Write depth (n,) m of the points `rows`, the argument of `bond_forces`.
 
-    penetration, gaps (k,) m of all points; ring: the neighbours of row i are ring[start[i]:start[i + 1]]. Two unlike
-    triangulations touch at some of their points only: one nearer than `reach` (m) whose neighbour presses is in contact too.
+    penetration, gaps (k,) m: of all points; ring[start[i]:start[i + 1]]: neighbours of row i. Two different triangulations touch only
+    at some of their points: a point closer than `reach` (m) to the other surface, with a neighbour in contact, is in contact too.
     """
     for i in range(len(rows)):
         depth[i] = penetration[rows[i]]
@@ -239,8 +239,8 @@ def in_contact(
 def spring_forces(
     nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, active: int, f: Floats
 ) -> None:
-    """The product of the springs' stiffness with w (N,3) m, which is zero from node `active` on, added to f (N,3) N. strength (n,) N/m:
-    of the spring between each point and its foot, in any direction."""
+    """Add the product of the springs' stiffness matrix and w (N,3) m to f (N,3) N. w is zero from node `active` on. strength (n,)
+    N/m: stiffness of each spring, equal in all directions."""
     for i in range(len(nodes)):
         if min(nodes[i], triangles[i, 0], triangles[i, 1], triangles[i, 2]) >= active:
             continue

@@ -1,4 +1,4 @@
-"""Which points and triangles may come near each other: boxes and a grid (numba)."""
+"""Pairs of points and triangles that are near each other, by bounding boxes and a grid (numba)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from ..core.arrays import Floats, Ints
 
 @njit(cache=True, nogil=True, inline="always")
 def box_of(x: Floats, t: Ints, low: Floats, high: Floats) -> None:
-    """Box around a triangle of nodes t (3,) into low, high (3,), m."""
+    """Write the bounding box of the triangle of nodes t (3,) to low and high (3,), m."""
     for d in range(3):
         u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
         low[d] = min(u, v, w)
@@ -18,7 +18,7 @@ def box_of(x: Floats, t: Ints, low: Floats, high: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Smallest of low (n,3) and largest of high (n,3)."""
+    """Smallest values (3,) of low (n,3) and largest values (3,) of high (n,3)."""
     least, most = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(len(low)):
         for d in range(3):
@@ -29,7 +29,7 @@ def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 @njit(cache=True, nogil=True)
 def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np.int64]:
-    """Those of the points `ids` of x (n,3) that lie in the box [low, high]."""
+    """Numbers of the points among `ids` that lie in the box [low, high]; x (n,3): positions."""
     inside = np.empty(len(ids), np.int64)
     count = 0
     for i in ids:
@@ -42,7 +42,7 @@ def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np
 
 @njit(cache=True, nogil=True)
 def boxes_of(x: Floats, facets: Ints) -> tuple[Floats, Floats]:
-    """Boxes, low and high (k,3) m, around triangles (k,3) of nodes x (N,3)."""
+    """Bounding boxes of triangles (k,3) of nodes x (N,3): low and high (k,3), m."""
     low, high = np.empty((len(facets), 3)), np.empty((len(facets), 3))
     for r in range(len(facets)):
         box_of(x, facets[r], low[r], high[r])
@@ -51,7 +51,7 @@ def boxes_of(x: Floats, facets: Ints) -> tuple[Floats, Floats]:
 
 @njit(cache=True, nogil=True)
 def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
-    """Those of the boxes `ids`, rows of low and high (k,3), that overlap the box [least, most]."""
+    """Numbers of the boxes among `ids` that overlap the box [least, most]. low, high (k,3): all boxes."""
     overlapping = np.empty(len(ids), np.int64)
     count = 0
     for i in ids:
@@ -69,7 +69,7 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 def _pairs(
     points: Floats, reach: Floats, own: Ints, low: Floats, high: Floats, of: Ints, cell: float, room: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """`pairs_within`, of which no more than `room` are stored, and how many there are."""
+    """`pairs_within`, but stores at most `room` pairs. Also returns the number of all pairs."""
     n, most = len(points), reach.max()
     least, greatest = bounds(low, high)
     near = points_within(points, np.arange(n), least - most, greatest + most)
@@ -139,10 +139,10 @@ def _pairs(
 def pairs_within(
     points: Floats, reach: Floats, own: Ints, low: Floats, high: Floats, of: Ints, cell: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The boxes low, high (k,3) m of other bodies that each of points (n,3) lies in or within reach (n,) m of, by a grid of cells (m)
-    over the points. own (n,), of (k,): the body of each.
+    """For each point, the boxes of other bodies within its reach. points (n,3) m; reach (n,) m; low, high (k,3) m: the boxes; own
+    (n,), of (k,): body of each point and of each box; cell: size of the search grid, m.
 
-    Returns (start (n+1,), boxes): those of point i are boxes[start[i]:start[i + 1]], ascending.
+    Returns start (n+1,) and boxes: boxes[start[i]:start[i + 1]] are the boxes of point i, ascending.
     """
     room = 64 * len(points)
     while True:
@@ -153,5 +153,5 @@ def pairs_within(
 
 
 def facets_within(x: Floats, facets: Ints, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
-    """Those of the triangles `ids` whose boxes overlap the box [least, most]."""
+    """Numbers of the triangles among `ids` whose bounding boxes overlap the box [least, most]."""
     return np.asarray(ids[boxes_within(*boxes_of(x, facets[ids]), np.arange(len(ids)), least, most)], np.int64)

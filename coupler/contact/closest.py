@@ -1,4 +1,4 @@
-"""Closest-point projection of points on triangles, and which of several bodies counts (numba)."""
+"""Closest-point projection of points on triangles, and the choice among several bodies (numba)."""
 
 from math import inf, sqrt
 
@@ -13,14 +13,14 @@ from .model import ANY, Candidates, Points, Projections
 
 @njit(cache=True, nogil=True)
 def box_faces(x: Floats, faces: Faces) -> None:
-    """Bring the boxes around triangles up to their nodes x (N,3), m."""
+    """Update the bounding boxes of triangles to the positions x (N,3) of their nodes, m."""
     for r in range(len(faces)):
         box_of(x, faces[r].nodes, faces[r].low, faces[r].high)
 
 
 @njit(cache=True, nogil=True, inline="always")
 def closest_on_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float]:
-    """Barycentric weights (wa, wb, wc) of the point of triangle abc closest to p. Ericson (2005), section 5.1.5."""
+    """Barycentric coordinates (wa, wb, wc) of the point of triangle abc that is closest to p. Ericson (2005), section 5.1.5."""
     ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     ap0, ap1, ap2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
@@ -56,7 +56,7 @@ def closest_on_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[flo
 
 @njit(cache=True, nogil=True, inline="always")
 def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
-    """Square of the distance of p from the box [low, high], m2."""
+    """Square of the distance between p and the box [low, high], m2."""
     u = max(low[0] - p[0], p[0] - high[0], 0.0)
     v = max(low[1] - p[1], p[1] - high[1], 0.0)
     w = max(low[2] - p[2], p[2] - high[2], 0.0)
@@ -67,11 +67,12 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 def _closest_of(
     p: Floats, body: int, but: int, first: int, among: Ints, faces: Faces, x: Floats, reach: float, shift: float
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
-    """The triangle of a body (ANY: of all but one, `but`) that p is closest to, -1 for none; the square of the distance, m2; which side
-    p is on, negative inside; the weights of the closest point.
+    """The triangle that is closest to p, -1 for none; the square of the distance, m2; the side of p, negative inside; the
+    barycentric coordinates of the closest point.
 
-    among: candidates; first: the one to try first, -1 for none; x (N,3) m: nodes, which have moved by `shift` m at the most since the
-    boxes of faces; reach: square of the distance beyond which boxes are left out, m2.
+    body: body of the triangle, ANY for all bodies except `but`; among: candidates; first: candidate to try first, -1 for none; x
+    (N,3) m: nodes; shift: largest displacement of a node since the boxes of the faces were updated, m; reach: square of the
+    distance beyond which boxes are skipped, m2.
     """
     best = 1e300
     facing = side = -1.0
@@ -84,7 +85,7 @@ def _closest_of(
         candidate = faces[r]
         if (body != ANY and candidate.body != body) or (but != ANY and candidate.body == but):
             continue
-        # no triangle is closer than the box around it: most are left out so, once one close by is known
+        # no triangle is closer than its box: this skips most triangles once a close one is known
         if _box_distance2(p, candidate.low, candidate.high) > reach:
             continue
         t = candidate.nodes
@@ -97,7 +98,7 @@ def _closest_of(
         n0, n1, n2 = area_vector(A, B, C)
         dn = d0 * n0 + d1 * n1 + d2 * n2
         align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
-        # on a shared edge or corner the face whose normal is nearest to the line to the point decides inside or outside
+        # on a shared edge or corner the face whose normal is closest to the direction of p decides between inside and outside
         if dd < best * (1.0 - 1e-9) or align > facing:
             best, facing, side, face = dd, align, dn, r
             reach = min(reach, (sqrt(best) + shift) ** 2 * (1.0 + 4e-9))
@@ -107,7 +108,7 @@ def _closest_of(
 
 @njit(cache=True, nogil=True)
 def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, weights: Floats, gap: Floats) -> None:
-    """The closest candidate of each of points (n,3), if any: face (n,), weights (n,3), signed gap (n,) m are written."""
+    """Write the closest candidate of each of points (n,3): face (n,), barycentric coordinates weights (n,3), signed gap (n,) m."""
     for i in range(len(points)):
         among = c.face[c.start[i] : c.start[i + 1]]
         face[i], best, side, wa, wb, wc = _closest_of(points[i], ANY, ANY, -1, among, faces, x, inf, 0.0)
@@ -117,7 +118,8 @@ def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, 
 
 @njit(cache=True, nogil=True)
 def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
-    """The least number above `after` of a body with a face of `among` whose box is within reach, m2; ANY for none."""
+    """Smallest number above `after` of a body that has a face in `among` near p; ANY for none. reach: square of the largest
+    distance between p and the box of the face, m2."""
     found = ANY
     for r in among:
         candidate = faces[r]
@@ -129,7 +131,7 @@ def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -
 
 @njit(cache=True, nogil=True)
 def several_bodies(i: int, c: Candidates, faces: Faces) -> bool:
-    """Whether point i has candidates of more than one body."""
+    """Whether the candidates of point i belong to more than one body."""
     among, several = c.face[c.start[i] : c.start[i + 1]], False
     for r in among:
         several = several or faces[r].body != faces[among[0]].body
@@ -138,7 +140,7 @@ def several_bodies(i: int, c: Candidates, faces: Faces) -> bool:
 
 @njit(cache=True, nogil=True)
 def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
-    """Mask of the points `rows` that have candidates of more than one body."""
+    """Mask of those points in `rows` whose candidates belong to more than one body."""
     several = np.zeros(len(rows), np.bool_)
     for q in range(len(rows)):
         several[q] = several_bodies(rows[q], c, faces)
@@ -149,13 +151,13 @@ def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
 def closest_faces(
     i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, proj: Projections
 ) -> None:
-    """Project point i on its candidates: on the closest one; where it lies in several bodies, or outside one and inside another, on the
-    closest ones of the two in which it lies deepest.
+    """Project point i on the closest of its candidates. If the point lies inside a body that is not the closest one, or inside
+    several bodies, project it on the closest faces of the two bodies in which it lies deepest.
 
-    A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
+    Without the second body a point in the gap between two bodies, each in contact with a third, could enter the third body.
 
-    x (N,3) m: nodes, which have moved by `shift` m at the most since the boxes of faces. limit m: the deepest
-    penetration in another body than that of the closest face.
+    x (N,3) m: nodes; shift: largest displacement of a node since the boxes of the faces were updated, m; limit: largest penetration
+    that counts in a body that is not the closest one, m.
     """
     p, partner, among = points.x[i], points.partner[i], c.face[c.start[i] : c.start[i + 1]]
     face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, proj.face[i, 0], among, faces, x, inf, shift)
@@ -187,10 +189,10 @@ def closest_faces(
 def reachable(
     rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, proj: Projections
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """Those candidates (start, face) of the points `rows` that they can touch while point and faces come travel (n,) m closer or
-    farther: no more than twice that farther away than the closest now or, where there are several bodies, than limit (n,) m.
+    """Candidates (start, face) that the points `rows` can touch while point and faces move by travel (n,) m relative to each other.
 
-    A point without a closest face keeps all of its candidates, others than `rows` keep none.
+    These candidates are at most 2 travel farther away than the closest face, or, with candidates of several bodies, than limit (n,)
+    m. A point without a closest face keeps all its candidates. Points that are not in `rows` keep none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
     count = last = 0
@@ -211,7 +213,7 @@ def reachable(
 def merged(
     fresh: Bools, start: Ints, face: Ints, new_start: Ints, new_face: Ints
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """Candidates (start, face) of all points (n,): new ones of those of the mask `fresh`, the others' as they are."""
+    """Candidates (start, face) of all n points: the new ones for points of the mask `fresh`, the old ones for all others."""
     first = np.zeros(len(start), np.int64)
     for i in range(len(fresh)):
         n = new_start[i + 1] - new_start[i] if fresh[i] else start[i + 1] - start[i]
@@ -227,7 +229,7 @@ def merged(
 
 @njit(cache=True, nogil=True)
 def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: int) -> tuple[Ints, Ints]:
-    """Nodes of the candidates of each body's points, and where those of each body begin; n: how many nodes there are in all."""
+    """Nodes of the candidates of each body's points, body by body, and the index of the first one of each body. n: number of nodes."""
     last, bounds = np.full(n, ANY), np.zeros(bodies + 1, np.int64)
     nodes, count = np.empty(3 * len(c.face), np.int64), 0
     for i in range(len(owner)):
@@ -244,7 +246,7 @@ def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: in
 
 @njit(cache=True, nogil=True)
 def least_node(rows: Ints, node: Ints, c: Candidates, faces: Faces) -> Ints:
-    """The least node of each of the points `rows`, node (n,), and of its candidates."""
+    """Smallest node number among each point of `rows` and the nodes of its candidates. node (n,): node of each point."""
     least = np.empty(len(rows), np.int64)
     for q in range(len(rows)):
         i = rows[q]

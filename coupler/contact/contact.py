@@ -1,4 +1,4 @@
-"""Contact of points on surfaces with the faces of others: a search before some steps, forces in each."""
+"""Contact of points on surfaces with faces of other surfaces: a search before a chunk of steps, forces in each step."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ import numpy as np
 from ..core import safety
 from ..core.arrays import Floats, Ints, SpringTable, occurring
 from ..core.loops import PARTS
-from ..core.records import Shape, Sums, copied, put
+from ..core.records import Shape, Sums, put
 from ..core.threads import together
 from ..errors import SolverError
 from . import broad, closest
@@ -21,9 +21,9 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 
 @dataclass
 class ContactSums(Sums):
-    """Sums over the steps so far. J: friction_heat; dropped_energy: of the springs of points that have lost their contact as too deep
-    (dropped: how many), and of springs of points whose depth has jumped; lost: where compression passes from bonds to the contact
-    (gained: negative)."""
+    """Sums over all steps. dropped: number of points that have lost their contact because they lay too deep. Energies, J:
+    friction_heat; dropped_energy: energy of the springs of these points, and of points whose depth has jumped; lost: energy lost
+    where compression passes from bonds to the contact, negative where energy is gained."""
 
     friction_heat: float = 0.0
     dropped_energy: float = 0.0
@@ -33,7 +33,8 @@ class ContactSums(Sums):
 
 @dataclass(eq=False)
 class ContactState:
-    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet passed to the bodies; sums."""
+    """State of a contact. history (n,): of each point; heat_point (n,), heat_face (k,) J: heat of friction that the bodies have not
+    yet received."""
 
     history: Annotated[np.ndarray, Shape(-1, dtype=HISTORY)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
@@ -45,8 +46,8 @@ class ContactState:
 class _Search:
     """Data of the last search of one body's points.
 
-    reach m: distance that points and faces may move relative to each other while it is valid; known (k,): mask of near faces among
-    `facing` of the body; nodes: of these faces; node_x, point_x: positions of these nodes and of the body's points, m.
+    reach m: the search is valid while points and faces have moved less than this relative to each other; known (k,): mask of near faces
+    among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions of these nodes and of the body's points, m.
     """
 
     known: np.ndarray
@@ -57,18 +58,18 @@ class _Search:
 
 
 class Contact(ContactState):
-    """Points of one or several bodies against the faces of others, with penalty and Coulomb friction (`law`)."""
+    """Contact of the points of one or several bodies with the faces of other bodies: penalty and Coulomb friction (`law`)."""
 
     def __init__(
         self, owner: Ints, facets: Ints, body: Ints, stiffness: Sequence[float], spacing: Sequence[float], friction: float,
         share: float = 0.5, jump: float = JUMP, node: Ints | None = None, facing: Sequence[Ints] | None = None, skin: float = 0.0,
     ):  # fmt: skip
-        """owner (n,): the body of each point, ascending from 0; facets (k,3) nodes, outward; body (k,): of each, of which each has all
-        of its facets here; stiffness N/m and spacing m of the points of each body; share: of the friction heat, for the side of the
-        points; jump: spacings that a point may move inwards in one step: a point found deeper did not enter through this surface and
-        has no contact until it is outside again; node (n,): of the domain, that each point is (default: of none); facing: the facets
-        that each body's points may ever touch (default: all); skin: spacings added to the search distance, so that the search stays
-        valid while surfaces move by that."""
+        """owner (n,): body of each point, ascending from 0; facets (k,3): nodes, normal outwards; body (k,): body of each facet;
+        stiffness N/m, spacing m: of the points of each body; share: share of the friction heat that goes to the points; jump:
+        largest inward motion of a point in one step, in spacings: a deeper point did not enter through this surface and has no
+        contact until it is outside again; node (n,): node of each point in the domain (default: none); facing: for each body, the
+        facets that its points can ever touch (default: all); skin: spacings added to the search distance: the search stays valid
+        while surfaces move this far."""
         n, bodies = len(owner), len(spacing)
         self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
@@ -80,14 +81,16 @@ class Contact(ContactState):
         self.bounds = np.searchsorted(owner, np.arange(bodies + 1))
         self.facing = [np.arange(len(facets))] * bodies if facing is None else facing
         super().__init__(new_history(n), np.zeros(n), np.zeros(len(facets)))
-        #: The points that may touch before the next search, ascending: only these are projected and get forces.
+        #: Points that can touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
         self._candidates = Candidates(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
         self._projections = Projections(
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
         self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
-        self._active = np.full(bodies, np.inf)  # the search of each body is valid while only so many nodes move
+        self._active = np.full(
+            bodies, np.inf
+        )  # the search of each body is valid while at most this number of nodes moves
         self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
 
     @property
@@ -102,39 +105,36 @@ class Contact(ContactState):
 
     @property
     def penalty_energy(self) -> float:
-        """Energy stored in the penalty and friction springs, J."""
+        """Energy of the penalty and friction springs, J."""
         return k.energy(self.points, self.history)
 
     @property
     def normal_force(self) -> Floats:
-        """Force (n,) N that presses on each point."""
+        """Normal contact force (n,) N on each point."""
         return k.normal_forces(self.points, self.history)
 
-    def state(self) -> ContactState:
-        """The history that later steps need, and the energies."""
-        return copied(self)
-
     def restore(self, state: ContactState) -> None:
-        """Put a `state` into a contact of the same surfaces; call `search` next. Raises CheckpointError where it does not fit."""
+        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError where it does not fit."""
         put(state, self)
-        self.expire(np.ones(len(self.history), bool))
+        self.expire()
 
-    def expire(self, which: np.ndarray) -> None:
-        """Make the next search include all bodies that own points of a mask (n,)."""
+    def expire(self, which: np.ndarray | slice = slice(None)) -> None:
+        """Make the next search include all bodies that own points of a mask (n,); default: all bodies."""
         for body in np.unique(self.points.owner[which]):
             self._searches[body].reach = -np.inf
 
     def forget(self, which: np.ndarray) -> None:
-        """Delete the contact history of the points of a mask (n,): a bond has begun or ended to resist their compression."""
+        """Delete the contact history of the points of a mask (n,): a bond has started or ceased to resist their compression."""
         self.history[which] = new_history(1)
         self.expire(which)
 
     def stable_dt(self, softness: float, lightest: float, body: int = 0) -> float:
-        """Stable time step (s) of the springs between points of a body, of inverse mass `softness` (1/kg), and nodes (lightest: kg)."""
+        """Stable time step (s) of the springs between points of a body and nodes. softness: inverse mass of a point, 1/kg;
+        lightest: mass of the lightest node, kg."""
         return float(safety.CONTACT * 2.0 / np.sqrt(self.stiffness[body] * (softness + 1.0 / lightest)))
 
     def mass_for(self, step: float) -> float:
-        """The mass (kg) of points and nodes with which the springs bear a step (s)."""
+        """Mass (kg) of points and nodes for which `step` (s) is the stable time step of the springs."""
         return 2.0 * float(self.stiffness.max(initial=0.0)) * (0.5 * step / safety.CONTACT) ** 2
 
     # ---- search --------------------------------------------------------------------------------------------------
@@ -145,10 +145,10 @@ class Contact(ContactState):
     ) -> bool:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m relative to each other.
 
-        xp (n,3) points, x (N,3) nodes, m; always: points that `rows` has in any case; active: number of nodes that move, the first
-        ones (default: all). A point keeps its forces and is not among `rows` where neither it nor a face near it moves. v (N,3) m/s:
-        then slow surfaces move by their share of `travel` only. Returns whether anything was searched: the candidates of a body's
-        points stay valid until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
+        xp (n,3), x (N,3) m: points and nodes; always: points that are always in `rows`; active: number of nodes that move, the
+        first ones (default: all): a point at rest whose near faces are at rest keeps its forces and is not in `rows`; v (N,3) m/s:
+        with velocities, a slow surface moves only its share of `travel`. Returns whether a body was searched: the candidates of a
+        body's points stay valid until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
@@ -157,7 +157,9 @@ class Contact(ContactState):
             )
         closest.box_faces(x, self.faces)
         k.add_travel(0, len(self.spacing), self._motion, x, len(x))
-        self._projections.clearance[:] -= self._motion.travel[self.points.owner]  # from here on faces move from zero
+        self._projections.clearance[:] -= self._motion.travel[
+            self.points.owner
+        ]  # the travel of the faces restarts from zero
         self._motion.travel[:] = 0.0
         speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
         fastest = float(speed.max(initial=0.0))
@@ -171,14 +173,14 @@ class Contact(ContactState):
         return bool(due)
 
     def _own_travel(self, body: int, travel: float, share: Floats) -> float:
-        """How far (m) a body and the faces near it move against each other; share (N,): speed of each node over that of the fastest,
-        which moves by half of `travel` m."""
+        """Largest displacement (m) of a body relative to the faces near it. share (N,): speed of each node over the largest speed;
+        the fastest node moves travel / 2, m."""
         own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
         together = share[own].max(initial=0.0) + share[self._searches[body].nodes].max(initial=0.0)
         return travel * min(1.0, float(together))
 
     def _is_valid(self, body: int, x: Floats, travel: float, share: Floats, active: int) -> bool:
-        """Whether the last search of a body is still valid, and no other face can come near while all move by `travel` m."""
+        """Whether the last search of a body stays valid and no other face can come near while surfaces move by `travel` m."""
         s, own = self._searches[body], self._own_travel(body, travel, share)
         if active > self._active[body] or s.reach <= own:
             return False
@@ -190,13 +192,14 @@ class Contact(ContactState):
         return len(self._around(body, others, 0.5 * float(self.spacing[body]) + travel)) == 0
 
     def _around(self, body: int, ids: Ints, margin: float) -> Ints:
-        """Those of the faces `ids` whose boxes come within a margin (m) of the box around a body's points."""
+        """Numbers of the faces among `ids` whose boxes lie within `margin` m of the bounding box of a body's points."""
         own = self.points.x[self.bounds[body] : self.bounds[body + 1]]
         least, most = broad.bounds(own, own)
         return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
 
     def _start(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
-        """Start the searches of the bodies `due`. Returns how far each point (n,) and its faces may move until the next, m."""
+        """Start the searches of the bodies `due`. Returns the relative displacement (n,) m of points and faces up to which they are
+        valid."""
         far = np.zeros(len(self.history))
         for body in due:
             s, spacing = self._searches[body], float(self.spacing[body])
@@ -212,11 +215,12 @@ class Contact(ContactState):
     def _find(
         self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
     ) -> None:
-        """Candidates of the points of bodies, valid until they and faces have moved travel (n,) m against each other."""
+        """Find the candidates of the points of bodies. They are valid until points and faces have moved travel (n,) m relative to
+        each other."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
         due = np.isin(p.owner, bodies)
         q: Ints | slice = slice(None) if due.all() else np.flatnonzero(due)
-        p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # half a spacing deep is as deep as a point may be lost
+        p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # a point keeps its contact down to a depth of half a spacing
         start, face = self._pairs(q, bodies)
         # points with a friction spring are projected too, so that its energy is accounted for
         sheared = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
@@ -225,30 +229,30 @@ class Contact(ContactState):
         away = due.copy()
         proj.face[q] = -1
         self._set_candidates(due, start, face)
-        # faces near a point at rest may be missing here: the contact of a cut ends at its rim
+        # faces near a point at rest can be missing here: the contact of a sub-domain ends at its rim
         rows, still = self._moving(rows, active)
         away[still] = False
         known = np.zeros(len(due), bool)
         known[self.rows] = True
-        proj.clearance[due & ~known] = -np.inf  # the gaps of others than `rows` are not known
+        proj.clearance[due & ~known] = -np.inf  # the gaps of points that are not in `rows` are not known
         self._project(rows, Nodes(x, x, x, active))
-        # a tenth of a spacing for what the surfaces gain in speed
+        # the tenth of a spacing allows for surfaces that accelerate
         close = (proj.face[rows, 0] >= 0) & (proj.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
         kept = rows[close | sheared[rows]]
         away[kept] = False
-        for _ in range(2):  # at rest: of the candidates that are left
+        for _ in range(2):  # with fewer candidates more points are at rest
             limit = k.deepest(history, p, self.jump)
             self._set_candidates(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, proj))
             kept, still = self._moving(kept, active)
             if len(still) == 0:
                 break
         history["depth"][away] = 0.0
-        away[rows] = False  # what has no candidate is outside
+        away[rows] = False  # a point without candidates is outside
         history["ignored"][away], history["body"][away] = 0.0, ANY
         self.rows = np.union1d(self.rows[~due[self.rows]], kept)
 
     def _pairs(self, q: Ints | slice, bodies: Sequence[int]) -> tuple[Ints, Ints]:
-        """Candidates (start, face) of the points q of bodies: faces whose boxes come within their margins."""
+        """Candidates (start, face) of the points q of bodies: faces whose boxes lie within the margins of these points."""
         p, faces = self.points, self.faces
         ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
         few, boxes = broad.pairs_within(
@@ -259,21 +263,21 @@ class Contact(ContactState):
         return np.cumsum(start), ids[boxes]
 
     def _set_candidates(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
-        """Replace the candidates of the points of a mask (n,)."""
+        """Replace the candidates (start, face) of the points of a mask (n,)."""
         if not fresh.all():
             start, face = closest.merged(fresh, *self._candidates, start, face)
         self._candidates = Candidates(start, face)
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
-        """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search is valid until more
-        nodes than the least of theirs move."""
+        """Split the points `rows`: points that move or have a candidate that moves, and the others. The search of the others is
+        valid until one of their nodes or of the nodes of their candidates becomes active."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
         np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
         return rows[~still], rows[still]
 
     def _project(self, rows: Ints, nodes: Nodes) -> None:
-        """Project each of the points `rows` on the faces, and end the contact of those that lie too deep."""
+        """Project each of the points `rows` on the faces. Points that lie too deep lose their contact."""
         lost = np.zeros((PARTS, 2))
         together(
             k.project, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion,
@@ -285,8 +289,8 @@ class Contact(ContactState):
     # ---- forces --------------------------------------------------------------------------------------------------
 
     def forces(self, dt: float, nodes: Nodes) -> None:
-        """Add the contact forces of this instant to points.f and nodes.f, N, from the positions and velocities in both; friction moves
-        on by dt s. Of the points, only `rows` are read and written."""
+        """Add the contact forces at the positions and velocities of `points` and `nodes` to points.f and nodes.f, N, and update
+        friction for a step of dt s. Of the points, only `rows` are read and written."""
         self._project(self.rows, nodes)
         self.sums.friction_heat += k.contact_forces(
             self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._projections, self.history, self.heat_point,
@@ -294,9 +298,9 @@ class Contact(ContactState):
         )  # fmt: skip
 
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
-        """Indices (k,) of those of the `first` points that touch in this step, and the facet under each (k,).
+        """Points (k,) among the first `first` ones that touch in this step, and the facet (k,) under each.
 
-        within: m; points nearer than this count as touching, because a touching point can lose its contact for single steps.
+        within m: points closer than this touch too, because a point in contact can lose it for single steps.
         """
         rows = self.rows[self.rows < first]
         rows = rows[self.gap[rows] < within] if within > 0.0 else rows[self.depth[rows] > 0.0]
@@ -313,7 +317,7 @@ class Contact(ContactState):
         return SpringTable.of(p.node[rows], corners, proj.foot[rows, body], p.stiffness[rows])
 
     def load(self, size: int) -> Floats:
-        """Row sums (size,) of the stiffness of all springs that can act before the next search, N/m; see `Bond.load`."""
+        """Row sums (size,) N/m of the stiffness matrix of all springs that can act before the next search, see `Bond.load`."""
         load, rows, k_2 = np.zeros(size), self.rows, 2.0 * self.points.stiffness
         for body in np.unique(self.points.owner[rows]):
             own = slice(self.bounds[body], self.bounds[body + 1])

@@ -1,4 +1,4 @@
-"""Contact of points against triangles: projection of the points in each step, and the forces (numba)."""
+"""Contact of points with triangles: projection of the points in each step, and contact forces (numba)."""
 
 from math import inf, sqrt
 
@@ -33,8 +33,8 @@ def _solve3(
 
 @njit(cache=True, nogil=True)
 def add_travel(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
-    """Add the farthest that a node of the candidates of each of the bodies [lo, hi) has moved since the last call to its travel; only
-    the first `active` nodes move."""
+    """Increase the travel of the bodies [lo, hi) by the largest displacement of a node of their candidates since the last call.
+    Only the first `active` nodes move."""
     for body in range(lo, hi):
         most = 0.0
         for q in range(m.bounds[body], m.bounds[body + 1]):
@@ -48,25 +48,25 @@ def add_travel(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
 
 @njit(cache=True, nogil=True, inline="always")
 def _squared(h: History) -> float:
-    """Square of the friction (N2) of a history's spring."""
+    """Square of the friction force in a history, N2."""
     return h.spring[0] ** 2 + h.spring[1] ** 2 + h.spring[2] ** 2
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _ignored(h: History) -> float:
-    """The depth (m) that the first spring of a history ignores."""
+    """Penetration without force in the first body of a history, m."""
     return max(h.ignored[0], 0.0) if h.ignored[0] < ALL else 0.0
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _deepest(h: History, margin: float, jump: float) -> float:
-    """How deep a point may lie and keep its contact, m."""
+    """Largest depth of a point that keeps its contact, m."""
     return min(margin, h.depth[0] + _ignored(h) + jump)
 
 
 @njit(cache=True, nogil=True)
 def deepest(history: Histories, points: Points, jump: float) -> Floats:
-    """How deep each point (n,) may lie and keep its contact, m; see `_update_history`."""
+    """Largest depth (n,) m of each point that keeps its contact, see `_update_history`."""
     limit = np.empty(len(history))
     for i in range(len(history)):
         limit[i] = _deepest(history[i], points.margin[i], jump * points.spacing[i])
@@ -77,10 +77,10 @@ def deepest(history: Histories, points: Points, jump: float) -> Floats:
 def ignored_depth(deep: float, before: float, moved: float, ignored: float) -> float:
     """The part of a point's penetration depth that gives no contact force, m.
 
-    Where surfaces end on one another the closest face can be one of which the point lies on the other side: its depth jumps. A spring
-    that had that depth at once would give energy that nobody has put in: what motion does not account for is ignored until the point
-    has moved out again. deep, before: depth now and at the last projection (negative outside); moved: how far point and faces have
-    moved since. ignored: before, ALL where the point had lost its contact.
+    At the rim of a surface the closest face can change to one on the other side of the body, and the depth of the point jumps. A
+    spring with this depth would create energy. Therefore the part of the depth that the motion does not explain is ignored until the
+    point has moved out again. deep, before: depth now and at the last projection, negative outside; moved: relative displacement of
+    point and faces since then; ignored: value of the last projection, ALL if the point had lost its contact. All in m.
     """
     ignored = max(min(ignored, deep), 0.0)
     return max(ignored, deep - max(before - ignored + moved, 0.0))
@@ -90,11 +90,11 @@ def ignored_depth(deep: float, before: float, moved: float, ignored: float) -> f
 def _update_history(
     i: int, k: float, limit: float, moved: float, before: float, proj: Projections, faces: Faces, h: History, lost: Floats
 ) -> None:  # fmt: skip
-    """Update the history h of point i to its projection; before: its gap at the last projection, m; moved: see `ignored_depth`.
+    """Update the history h of point i to its projection. k N/m; before: gap at the last projection, m; moved: see `ignored_depth`.
 
-    A point that lies deeper than limit (m), which is the margin of the search or a jump deeper than before, lies outside: nearer faces
-    are only known to be among the candidates within the margin. It loses its contact: lost, [points that had one, energy of springs
-    (J)], is added to. k N/m. The history in the second body goes with it when it becomes the first.
+    A point deeper than limit (m) loses its contact: it counts as outside, because beyond the margin of the search nearer faces can
+    be missing. lost grows by [number of such points with a contact, energy (J) of their springs]. If the second body becomes the
+    first one, its history moves to the first column.
     """
     if proj.face[i, 0] < 0 or proj.gap[i, 0] < -limit:
         proj.face[i, 0] = proj.face[i, 1] = ANY
@@ -109,7 +109,8 @@ def _update_history(
     first, other = faces[proj.face[i, 0]].body, ANY
     if proj.face[i, 1] >= 0:
         other = faces[proj.face[i, 1]].body
-    # the two bodies change their order: else what is ignored changes its body, and the force jumps from step to step
+    # the two bodies change their order: without this exchange the ignored depth would belong to the other body, and the force would
+    # jump
     if h.body[0] != ANY and first == h.body[1]:
         before, was = -h.depth[1] - h.ignored[1], max(-before, 0.0)
         h.ignored[0], h.ignored[1] = h.ignored[1], _ignored(h)
@@ -121,7 +122,7 @@ def _update_history(
         h.ignored[0] = 0.0
     else:
         h.ignored[0] = ignored_depth(-proj.gap[i, 0], -before, moved, h.ignored[0])
-        if proj.gap[i, 0] > before + moved:  # out of contact by a jump: the energy of its spring is lost
+        if proj.gap[i, 0] > before + moved:  # a jump out of contact: the energy of the spring is lost
             left = stored(k, max(-proj.gap[i, 0] - h.ignored[0], 0.0), 0.0)
             lost[1] += max(stored(k, h.depth[0], 0.0) - left, 0.0)
     deep = -proj.gap[i, 1]
@@ -137,10 +138,10 @@ def project(
     team: Ints, rows: Ints, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion, proj: Projections,
     history: Histories, lost: Floats,
 ) -> None:  # fmt: skip
-    """Project each of the points `rows`; one that cannot have come within reach of its faces since then keeps its projection.
+    """Project each of the points `rows`. A point keeps its projection while its displacement plus the travel of its faces is too
+    small for a contact.
 
-    Point and faces come closer by no more than both move. jump, in spacings: that a point may move inwards in one step. lost (PARTS,2):
-    see `_update_history`.
+    jump: largest inward motion of a point in one step, in spacings; lost (PARTS,2): see `_update_history`.
     """
     for lo, hi, _ in ranges(team, 0, len(motion.travel), 4):
         add_travel(lo, hi, motion, nodes.x, nodes.active)
@@ -152,7 +153,7 @@ def project(
             if proj.face[i, 0] >= 0 and own <= left:
                 continue
             h, before, moved = history[i], proj.gap[i, 0], 1e-9 * margin
-            if proj.clearance[i] == -inf:  # at a search, of a point that was not among `rows`: nothing has moved since
+            if proj.clearance[i] == -inf:  # at a search, for a point that was not in `rows`: nothing has moved since
                 before = -h.depth[0] - _ignored(h)
             else:
                 moved += own + travel - (proj.clearance[i] - before)
@@ -165,8 +166,8 @@ def project(
 
 @njit(cache=True, nogil=True, inline="always")
 def _normal(p: Floats, A: Floats, B: Floats, C: Floats, foot: Floats, gap: float, tiny: float) -> Vector:
-    """Unit vector out of the triangle's body along the line that joins p and its closest point; below the distance `tiny` (m), and
-    on the surface, the normal."""
+    """Unit vector along the line between p and its closest point on the triangle, out of the triangle's body; the normal of the
+    triangle if the distance is at most `tiny` m."""
     if abs(gap) > tiny:
         d0, d1, d2 = from_foot(p, A, B, C, foot[0], foot[1], foot[2])
         return d0 / gap, d1 / gap, d2 / gap
@@ -177,7 +178,7 @@ def _normal(p: Floats, A: Floats, B: Floats, C: Floats, foot: Floats, gap: float
 
 @njit(cache=True, nogil=True, inline="always")
 def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: float, f1: float, f2: float) -> None:
-    """A force on point i, and the opposite one on the point with the weights w of the triangle of nodes t, N."""
+    """Add a force (N) to point i, and the opposite force to the nodes t of a triangle with the weights w."""
     add(f_point, i, f0, f1, f2)
     add(f_node, t[0], -w[0] * f0, -w[0] * f1, -w[0] * f2)
     add(f_node, t[1], -w[1] * f0, -w[1] * f1, -w[1] * f2)
@@ -188,10 +189,10 @@ def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: f
 def _friction(
     i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Friction (3,) N on point i of penetration pen (m), and the heat (J) of its slip in a step of dt (s); its spring moves on.
+    """Friction force (3,) N on point i with the penetration pen (m), and heat (J) of its slip in a step of dt (s). Updates the spring.
 
-    The friction pair acts across the gap between the two surfaces; its moment is balanced by a couple on the triangle's nodes t, and
-    the slip it works on excludes the triangle's own rotation.
+    The pair of friction forces acts across the gap between the two surfaces. A couple on the triangle's nodes t balances its
+    moment. The slip does not include the rotation of the triangle.
     """
     n0, n1, n2 = normal
     A, B, C = nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]]
@@ -227,7 +228,7 @@ def _friction(
         scale = friction / size
         g0, g1, g2 = g0 * scale, g1 * scale, g2 * scale
     s[0], s[1], s[2] = g0, g1, g2
-    # couple that balances the moment of the friction pair about the foot point: -(l x g)
+    # the couple -(l x g) balances the moment of the pair about the closest point
     m0, m1, m2 = _solve3(
         yy + zz, xx + zz, xx + yy, -yz, -xz, -xy, -(l1 * g2 - l2 * g1), -(l2 * g0 - l0 * g2), -(l0 * g1 - l1 * g0)
     )  # fmt: skip
@@ -242,12 +243,12 @@ def contact_forces(
     rows: Ints, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, proj: Projections, history: Histories,
     heat_point: Floats, heat_face: Floats,
 ) -> float:  # fmt: skip
-    """Add the forces between the points `rows` and their closest faces, equal and opposite in force and in moment, to points.f and
-    nodes.f; the heat of friction, J.
+    """Add the forces between the points `rows` and their closest faces to points.f and nodes.f. Returns the heat of friction, J.
 
-    Penetration = minus the signed distance to the closest point of the surface, less what of it is ignored. The normal force acts along
-    the line that joins them (below a millionth of a spacing: along the normal); friction acts on the deepest body alone. heat_point
-    (n,) and heat_face (k,) J receive its heat, `share` of it the point. Springs between nodes that do not move stay as they are.
+    Forces are opposite and equal, and their moments cancel. The penetration is minus the signed gap, less the ignored depth. The
+    normal force acts along the line to the closest point (`_normal`). Friction acts only with the body in which the point lies
+    deepest. heat_point (n,) and heat_face (k,) J grow by the heat of friction, heat_point by `share` of it. Springs between nodes
+    that do not move do not change.
     """
     heat = 0.0
     for i in rows:
@@ -256,13 +257,13 @@ def contact_forces(
             g2 = _squared(h) if body == 0 else 0.0
             pen = 0.0 if proj.face[i, body] < 0 else max(-proj.gap[i, body] - h.ignored[body], 0.0)
             if pen == 0.0 and h.depth[body] == 0.0 and g2 == 0.0:
-                continue  # outside, as before
+                continue  # outside before and now
             face = proj.face[i, body]
             t = faces[face].nodes
             if face >= 0 and min(points.node[i], t[0], t[1], t[2]) >= nodes.active:
                 continue
             h.depth[body] = pen
-            if pen == 0.0:  # what the spring still stores is heat when the contact opens
+            if pen == 0.0:  # the contact opens: the energy of the friction spring becomes heat
                 if body == 0:
                     h.spring[0] = h.spring[1] = h.spring[2] = 0.0
                 if face >= 0:
@@ -286,7 +287,7 @@ def contact_forces(
 
 @njit(cache=True, nogil=True)
 def energy(points: Points, history: Histories) -> float:
-    """Energy that all springs store, J."""
+    """Energy of all normal and friction springs, J."""
     total = 0.0
     for i in range(len(history)):
         h, k = history[i], points.stiffness[i]
@@ -297,7 +298,7 @@ def energy(points: Points, history: Histories) -> float:
 
 @njit(cache=True, nogil=True)
 def normal_forces(points: Points, history: Histories) -> Floats:
-    """Force (n,) N that presses on each point."""
+    """Normal contact force (n,) N on each point."""
     force = np.empty(len(history))
     for i in range(len(history)):
         force[i] = normal_force(points.stiffness[i], history[i].depth[0])
@@ -306,7 +307,7 @@ def normal_forces(points: Points, history: Histories) -> Floats:
 
 @njit(cache=True, nogil=True)
 def gather(rows: Ints, points: Points, nodes: Nodes) -> None:
-    """Put the points `rows` to the nodes that they are, without a force."""
+    """Copy positions and velocities of the nodes to the points `rows`, and set their forces to zero."""
     for i in rows:
         for d in range(3):
             points.x[i, d], points.v[i, d], points.f[i, d] = nodes.x[points.node[i], d], nodes.v[points.node[i], d], 0.0
@@ -314,6 +315,6 @@ def gather(rows: Ints, points: Points, nodes: Nodes) -> None:
 
 @njit(cache=True, nogil=True)
 def scatter(rows: Ints, points: Points, nodes: Nodes) -> None:
-    """Add the forces on the points `rows` to those on the nodes that they are."""
+    """Add the forces on the points `rows` to the forces on their nodes."""
     for i in rows:
         add(nodes.f, points.node[i], points.f[i, 0], points.f[i, 1], points.f[i, 2])

@@ -1,4 +1,4 @@
-"""The arrays of a contact, as its kernels take them: points of surfaces against triangles of others."""
+"""Arrays of a contact between points of surfaces and triangles of other surfaces, as arguments of its kernels."""
 
 from typing import NamedTuple
 
@@ -6,34 +6,34 @@ import numpy as np
 
 from ..core.arrays import Faces, Floats, Histories, Ints
 
-ANY = -1  # body
-# m, depths that are ignored: of a point that has no contact, and of one that no search has found near a face
+ANY = -1  # number of a body that is not specified
+# Values of `ignored`, m: ALL for a point that has lost its contact, UNKNOWN for a point that no search has found near a face.
 ALL, UNKNOWN = 1e300, -1.0
-#: A triangle that points may touch: the box around it (m), its nodes and its body, together in one line of the processor's cache.
+#: A triangle that points may touch: its bounding box (m), its nodes and its body. One record fills one line of the processor's cache.
 FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
-#: History of a point: spring N of friction; of the body in which it lies deepest, and of the second one: depth m of penetration that
-#: gives force, ignored m: more of it, without force (`kernels.ignored_depth`), and the number of the body.
+#: History of a point. spring: friction force, N. The other fields have two columns: the body in which the point lies deepest, and a
+#: second body. depth: penetration that gives force, m; ignored: penetration without force, m (`kernels.ignored_depth`); body: number.
 HISTORY = np.dtype([("spring", "f8", 3), ("depth", "f8", 2), ("ignored", "f8", 2), ("body", "i8", 2)])
 
 
 def new_history(points: int) -> Histories:
-    """The history of points that have never touched."""
+    """History of points that have never been in contact."""
     history = np.zeros(points, HISTORY)
     history["ignored"][:, 0], history["body"] = UNKNOWN, ANY
     return history
 
 
 def faces_of(facets: Ints, body: Ints) -> Faces:
-    """Faces of the triangles facets (k,3) of bodies (k,), their boxes to be found (`closest.box_faces`)."""
+    """Records of the triangles facets (k,3) of bodies (k,). `closest.box_faces` fills in their boxes."""
     faces = np.zeros(len(facets), FACE)
     faces["nodes"], faces["body"] = facets, body
     return faces
 
 
 class Points(NamedTuple):
-    """Positions x m, velocities v m/s, forces f N (n,3); owner (n,): the body of each; node (n,): the node of the domain that each is,
-    -1 of others; partner (n,): the body that it is bonded to and has no contact with, ANY for none; stiffness (n,) N/m; spacing (n,) m
-    of its surface; margin (n,) m: depth beyond which the last search knows no face."""
+    """Arrays of n points. x m, v m/s, f N (n,3): positions, velocities, forces; owner (n,): body of each point; node (n,): its node in
+    the domain, -1 if it is no node; partner (n,): body to which the point is bonded and with which it has no contact, ANY for none;
+    stiffness (n,) N/m; spacing (n,) m: of its surface; margin (n,) m: distance up to which the last search has listed all faces."""
 
     x: Floats
     v: Floats
@@ -47,7 +47,7 @@ class Points(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Arrays of the faces' nodes: positions x m, velocities v m/s, forces f N (N,3). Only the first `active` nodes move."""
+    """Arrays of the N nodes of the faces. x m, v m/s, f N (N,3): positions, velocities, forces. Only the first `active` nodes move."""
 
     x: Floats
     v: Floats
@@ -56,16 +56,17 @@ class Nodes(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Faces that each point can touch before the next search: face[start[i]:start[i + 1]]."""
+    """Faces that each point can touch before the next search: face[start[i]:start[i + 1]] for point i."""
 
     start: Ints
     face: Ints
 
 
 class Projections(NamedTuple):
-    """Closest-point projection of each point on the body that it is nearest to, and on a second one in which it lies: face (n,2), -1
-    for none; foot (n,2,3): barycentric weights; gap (n,2) m: signed distance, negative inside. at (n,3) m: where the point was then;
-    clearance (n,) m: its gap then plus the travel of the faces until then."""
+    """Closest-point projections of n points. Columns: the nearest body; a second body in which the point lies.
+
+    face (n,2): -1 for none; foot (n,2,3): barycentric coordinates; gap (n,2) m: signed distance, negative inside; at (n,3) m:
+    position of the point at its projection; clearance (n,) m: gap at the projection plus the travel of the faces until then."""
 
     face: Ints
     foot: Floats
@@ -75,8 +76,8 @@ class Projections(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion of the candidate faces of each body's points: nodes[bounds[b]:bounds[b + 1]] of the faces, last (k,3) m: positions of the
-    nodes at the last projection, travel (bodies,) m: bound on how far one of them has moved since the search."""
+    """Motion of the candidate faces. nodes[bounds[b]:bounds[b + 1]]: nodes of the candidates of the points of body b; last (k,3) m:
+    their positions at the last projection; travel (bodies,) m: upper bound on their displacements since the last search."""
 
     nodes: Ints
     bounds: Ints

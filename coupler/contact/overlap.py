@@ -1,4 +1,4 @@
-"""How far bodies lie in each other, and how a new one is moved out of those that are there."""
+"""Penetration depths of bodies in each other, and displacements that move a new body out of existing ones."""
 
 from collections.abc import Iterable, Iterator
 
@@ -12,14 +12,14 @@ from .surfaces import Surfaces, neighbours
 def lying_inside(
     surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each body, the surface nodes (k,) of others that lie inside it, how deep (k,) m, and its facet (k,) closest to each, where one
-    of both is in `bodies`. x (N,3) m."""
+    """For each body, yield its number, the surface nodes (k,) of other bodies that lie inside it, their depths (k,) m, and the
+    closest facet (k,) of the body. Only pairs with one of `bodies` count. x (N,3) m."""
     asked = np.zeros(surfaces.bodies, bool)
     asked[list(bodies)] = True
     low, high = surfaces.boxes(x)
     owner = surfaces.body_of_node
     nodes = np.flatnonzero(owner >= 0)
-    # cells of the size of most bodies: a few can be tiny
+    # the median gives cells of the size of most bodies: a few bodies can be very small
     cell = float(np.median((high - low).max(axis=1)))
     start, box = broad.pairs_within(
         x[nodes], np.zeros(len(nodes)), owner[nodes], low, high, np.arange(surfaces.bodies), cell
@@ -35,7 +35,7 @@ def lying_inside(
 
 
 def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
-    """Depth (N,) m to which each surface node lies inside another body, where one of both is in `bodies`; 0 outside. x (N,3) m."""
+    """Depth (N,) m of each surface node inside another body, 0 outside. Only pairs with one of `bodies` count. x (N,3) m."""
     depth = np.zeros(len(x))
     for _, nodes, own, _ in lying_inside(surfaces, x, bodies):
         np.maximum.at(depth, nodes, own)
@@ -43,10 +43,11 @@ def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.nda
 
 
 def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
-    """Displacements (N,3) m of the surface nodes of `body` that take it out of the others, to first order; 0 elsewhere.
+    """Displacements (N,3) m of the surface nodes of `body` that move it out of the other bodies, to first order; 0 elsewhere.
 
-    A node of it inside another body goes to the closest point of that body's surface; where a node of another lies in it, the corners
-    of the closest facet go in by the least displacements that put the facet on the node. Of several the largest counts.
+    A node of `body` inside another body moves to the closest point of that body's surface. If a node of another body lies inside
+    `body`, the corners of the closest facet move inwards by the smallest displacements that put the facet on the node. The largest
+    of several displacements counts.
     """
     found = np.zeros((len(x), 3))
     low, high = surfaces.boxes(x)
@@ -70,8 +71,8 @@ def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarra
 def _inside(
     surfaces: Surfaces, x: np.ndarray, body: int, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Those (k,) of the nodes of others in the box round a body that lie inside it, the displacement (k,3) m out of it, the facet (k,)
-    there, its weights (k,3)."""
+    """The nodes (k,) among `nodes` that lie inside a body, their displacements (k,3) m to its surface, and the closest point: facet
+    (k,) and barycentric coordinates (k,3)."""
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
     own = surfaces.facets_of(body)

@@ -1,4 +1,4 @@
-"""A particle that bonds in its impact: vertices of its surface bonded to the facets they lie on while it rebounds."""
+"""Bonds of a particle during its impact: vertices of its surface are bonded to the facets under them while it rebounds."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,15 @@ from .bond import Bond
 from .bond_kernels import in_contact
 from .contact import Contact
 
-CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
-FEWEST = 3  # bonds: fewer fix a point or a line, about which a particle turns
-# ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
+CONTACT_RANGE = 0.1  # spacings: a point closer to the surface than this, with a neighbour in contact, is in contact
+FEWEST = 3  # bonds: with fewer the particle can turn about a point or a line
+# ratio of the energy that bonds can absorb to the energy left to break them, or its inverse, above which the end is decided
 SECURE = 4.0
 
 
 @dataclass(frozen=True)
 class BondedPoints:
-    """Points (k,3) m that are bonded: strength (k,2) Pa and energy (k,2) J/m2, normal and shear; damage (k,)."""
+    """Bonded points (k,3) m, with strength (k,2) Pa and energy (k,2) J/m2 in normal and shear direction, and damage (k,)."""
 
     points: np.ndarray
     strength: np.ndarray
@@ -27,7 +27,7 @@ class BondedPoints:
     damage: np.ndarray
 
     def near(self, points: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """The nearest bonded point to each of points (n,3) m: its index (n,), and whether it lies within `distance` m (n,)."""
+        """For each of points (n,3) m, the index (n,) of the nearest bonded point, and whether it lies within `distance` m (n,)."""
         if len(self.points) == 0:
             return np.zeros(len(points), np.int64), np.zeros(len(points), bool)
         away, index = cKDTree(self.points).query(points)
@@ -37,21 +37,20 @@ class BondedPoints:
 class ParticleBonds:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and points on facets of the target.
 
-    The contact carries the pressure between them. A spring carries shear, and
-    tension from the moment at which the contact lets go: the opening is zero while the net normal traction of the point and
-    its neighbours is compressive. Springs fail by strength and fracture energy as bonds between bodies do.
+    The contact carries the pressure between them. A spring carries shear, and tension after the contact has opened: the opening is
+    zero while the net normal traction of the point and its neighbours is compressive. Springs fail as bonds between bodies do.
     """
 
     def __init__(self, bond: Bond, start: Ints, ring: Ints):
-        """start (v+1,), ring: neighbours of all v points of the surface."""
+        """start (v+1,), ring: neighbours of the v points of the surface, ring[start[i]:start[i + 1]] of point i."""
         self.bond, rows = bond, bond.nodes
         count = start[rows + 1] - start[rows]
         first = np.concatenate([[0], np.cumsum(count)])
         self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[rows] - first[:-1], count)]
 
     def forces(self, xp: Floats, x: Floats, f_point: Floats, f_node: Floats, contact: Contact | None = None) -> None:
-        """Add the forces of this instant to f_point (like xp) and f_node (like x), N; update the damage. contact: between points and
-        target, of this instant (default: none)."""
+        """Add the forces at positions xp and x to f_point (like xp) and f_node (like x), N, and update the damage. contact: between
+        points and target, at the same positions (default: none)."""
         depth = np.full(len(self.bond), -1.0)
         if contact is not None:
             reach = CONTACT_RANGE * float(contact.spacing[0])
@@ -59,7 +58,8 @@ class ParticleBonds:
         self.bond.forces_on(xp, f_point, x, f_node, depth, len(x))
 
     def stable_dt(self, softness: float, mass: Floats) -> float:
-        """Stable time step (s) of the springs between points of inverse mass `softness` (1/kg) and nodes of mass (N,) kg."""
+        """Stable time step (s) of the springs between points and nodes. softness: inverse mass of a point, 1/kg; mass (N,) kg: of
+        the nodes."""
         sums = self.bond.row_sums()
         point = float(np.bincount(self.bond.nodes, sums[:, 0]).max(initial=0.0))
         node = np.bincount(self.bond.triangles.ravel(), sums[:, 1:].ravel(), len(mass)) / mass
@@ -67,20 +67,16 @@ class ParticleBonds:
         return safety.BONDS * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     def bonded_points(self, xp: np.ndarray) -> BondedPoints:
-        """Points at which unbroken springs act, and their laws. xp as for `forces`."""
+        """Points with unbroken springs, and their laws. xp: as in `forces`."""
         b, whole = self.bond, ~self.bond.broken
         return BondedPoints(xp[b.nodes[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
 
     @property
     def resistance(self) -> float:
-        """Energy (J) that the springs together can still absorb before they break; 0 if fewer than FEWEST are unbroken."""
+        """Energy (J) that all springs together can still absorb; 0 if fewer than FEWEST are unbroken."""
         whole = np.count_nonzero(~self.bond.broken)
         return float(self.bond.resistance.sum()) if whole >= FEWEST else 0.0
 
     def gives_way(self, energy: float) -> bool:
-        """Whether an energy (J) that pulls on the springs is far more than all of them can absorb."""
+        """Whether `energy` (J) is at least SECURE times the energy that all springs can absorb."""
         return SECURE * float(self.bond.resistance.sum()) <= energy
-
-    def state(self) -> Bond:
-        """State of the springs, for a checkpoint."""
-        return self.bond.state()

@@ -1,9 +1,9 @@
-"""Blocks of tetrahedra laid out side by side, so that what has neither branches nor scattered memory is done with the
-processor's vectors: their kinematics, and the forces that a stress puts on their nodes.
+"""Kinematics and nodal forces of tetrahedra, in blocks of elements that lie side by side in memory: loops without branches or
+scattered memory compile to vector instructions.
 
-Nothing here depends on which effects of the law are on: numba translates it once, whatever choices of them it meets. Both functions
-are to be inlined: only where w is made does the compiler see that its rows lie apart, and without that its loops would go
-element by element (1.6 times the time of an elastic step).
+Nothing here depends on the effects of the law: numba compiles it once for all choices of effects. Both functions must be inlined
+into the function that makes w: only there the compiler sees that the rows of w do not overlap. Without vector instructions an
+elastic step takes 1.6 times as long.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root 
 
 @njit(cache=True, nogil=True, inline="always")
 def _gradient(a0: Floats, a1: Floats, a2: Floats, a3: Floats, B: Floats) -> Matrix:
-    """Sum over the four nodes of a_I (x) dN_I/dX, row by row; node 0 carries minus the gradients of the others."""
+    """Sum over the four nodes of a_I (x) dN_I/dX, row by row. The gradient of node 0 is minus the sum of the others."""
     d10, d11, d12 = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
     d20, d21, d22 = a2[0] - a0[0], a2[1] - a0[1], a2[2] - a0[2]
     d30, d31, d32 = a3[0] - a0[0], a3[1] - a0[1], a3[2] - a0[2]
@@ -61,7 +61,7 @@ def _cofactor(
 def edge_cofactors(
     o: Floats, a: Floats, b: Floats, c: Floats,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Cofactors and determinant (six volumes) of the edges of a tetrahedron from its corner o to a, b and c, as rows."""
+    """Cofactors and determinant (six volumes) of the matrix whose rows are the edges of a tetrahedron from corner o to a, b and c."""
     return _cofactor(
         a[0] - o[0], a[1] - o[1], a[2] - o[2], b[0] - o[0], b[1] - o[1], b[2] - o[2], c[0] - o[0], c[1] - o[1], c[2] - o[2]
     )  # fmt: skip
@@ -77,7 +77,7 @@ def _nine(rows: Floats, i: int) -> Matrix:
 def _turned(
     wx: float, wy: float, wz: float, sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float,
 ) -> Symmetric:  # fmt: skip
-    """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) (Cayley) of a step; (wx, wy, wz): axial vector of W/2."""
+    """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) of a step (Cayley). (wx, wy, wz): axial vector of W/2."""
     ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
     r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
     r01, r10 = ww * (wx * wy - wz), ww * (wx * wy + wz)
@@ -96,12 +96,12 @@ def _turned(
 def _row_times(
     a: float, b: float, c: float, sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """The row (a, b, c) times a symmetric matrix."""
+    """Product of the row (a, b, c) and a symmetric matrix."""
     return a * sxx + b * sxy + c * sxz, a * sxy + b * syy + c * syz, a * sxz + b * syz + c * szz
 
 
 class Rows(NamedTuple):
-    """The numbers of a block by name, a column for each element: views of one array (ROWS, BLOCK)."""
+    """Values of a block by name, one column for each element: views of one array (ROWS, BLOCK)."""
 
     F: NDArray  # (9,BLOCK) deformation gradient at n+1, row by row
     Fdot: NDArray  # (9,BLOCK) its rate at n+1/2, 1/s
@@ -124,7 +124,7 @@ ROWS = 51
 
 @njit(cache=True, nogil=True, inline="always")
 def rows_of(w: Floats) -> Rows:
-    """The rows of w by name."""
+    """The rows of w (ROWS, BLOCK) by name."""
     return Rows(
         w[0:9], w[9:18], w[18:27], w[27:33], w[33:42],
         w[42], w[43], w[44], w[45], w[46], w[47], w[48], w[49], w[50],
@@ -135,10 +135,10 @@ def rows_of(w: Floats) -> Rows:
 def kinematics(
     first: int, hi: int, dt: float, c: Cells, nodes: Nodes, elements: Elements, two_G: Floats, law_of: Ints, w: Floats
 ) -> None:
-    """Lay out the block of elements that begins with `first`, and what its motion from n to n+1 does, into w.
+    """Write the state and the kinematics from n to n+1 of the block of elements that begins with `first` to w (ROWS, BLOCK).
 
-    two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): that of each element; w (ROWS, BLOCK).
-    A block that is not full is filled up with its last element, hi - 1: each element is treated alike, wherever a range begins.
+    two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): law of each element. A block with fewer elements is filled up
+    with the last element, hi - 1: so the result for an element does not depend on where the range begins.
     """
     half = 0.5 * dt
     b = rows_of(w)
@@ -182,7 +182,7 @@ def kinematics(
         l22 = (g20 * m20 + g21 * m21 + g22 * m22) * inv
         b.div[i] = l00 + l11 + l22
         third = (l00 + l11 + l22) / 3.0
-        # the rotated old deviator, kept for the work it does on the plastic strain of this step
+        # the rotated old deviator: its work on the plastic strain of this step is needed
         oxx, oyy, ozz, oyz, oxz, oxy = _turned(
             0.5 * half * (l21 - l12), 0.5 * half * (l02 - l20), 0.5 * half * (l10 - l01),
             S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i],
@@ -196,14 +196,14 @@ def kinematics(
         C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i], C[6, i], C[7, i], C[8, i], b.J[i] = _cofactor(
             f00, f01, f02, f10, f11, f12, f20, f21, f22
         )
-        for _ in range(3):  # Halley: the error goes with its cube, 3e-2, 2e-5, 6e-15
+        for _ in range(3):  # Halley's iteration, of third order: errors 3e-2, 2e-5, 6e-15
             cube = length[i] * length[i] * length[i]
             length[i] *= (cube + 2.0 * now[i]) / (2.0 * cube + now[i])
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
 def nodal_forces(first: int, hi: int, B: Floats, w: Floats, fe: Floats) -> None:
-    """P = sigma cof(F) of a block and what it puts on the nodes, f_I = -V0 P B_I into fe (m,4,3)."""
+    """Write the nodal forces of a block, f_I = -V0 P B_I with P = sigma cof(F), to fe (m,4,3)."""
     b = rows_of(w)
     C, S, P, pressure = b.C, b.S, b.P, b.pressure
     for i in range(BLOCK):

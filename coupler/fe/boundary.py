@@ -1,11 +1,11 @@
-"""Artificial boundaries of a target: dashpots that absorb waves, and springs that replace the rest of a half-space."""
+"""Artificial boundaries of a target: dashpots that absorb waves, and springs with the stiffness of the surrounding half-space."""
 
 import numpy as np
 
 from ..geometry.triangles import areas_and_normals
 from .mesh import TetMesh
 
-HALF_SPACE = "half_space"  # the set of facets at which the target goes on as a half-space
+HALF_SPACE = "half_space"  # name of the set of facets at which a half-space surrounds the target
 
 
 def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
@@ -17,8 +17,9 @@ def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
 def dashpots(
     mesh: TetMesh, laws: np.ndarray, law_of: np.ndarray, names: tuple[str, ...], fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lysmer & Kuhlemeyer (1969): nodes (k,) of facet sets that are not fixed, and a matrix (k,3,3) kg/s of each, of every facet
-    rho (c_p n n^T + c_s (1 - n n^T)) area / 3. laws: LAW records; law_of (m,): that of each element."""
+    """Absorbing boundary of Lysmer & Kuhlemeyer (1969): nodes (k,) of facet sets that are not fixed, and the damping matrix (k,3,3)
+    kg/s of each: the sum of rho (c_p n n^T + c_s (1 - n n^T)) area / 3 over its facets. laws: LAW records; law_of (m,): law of each
+    element."""
     nodes = np.setdiff1d(nodes_of(mesh, names), fixed)
     matrix = np.zeros((len(mesh.points), 3, 3))
     for name in names:
@@ -31,11 +32,11 @@ def dashpots(
 
 
 def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The static stiffness of a half-space at the facets HALF_SPACE: nodes (k,) and a matrix (k,3,3) N/m of each. G (m,) Pa.
+    """Static stiffness of a half-space at the facets HALF_SPACE: nodes (k,), and the stiffness matrix (k,3,3) N/m of each. G (m,) Pa.
 
-    What a coating does to its substrate is in balance with itself: its displacements fall with the square of the distance R, u ~ R^-2.
-    Of a centre of dilatation the traction is then -4 G u / R, normal to a sphere; the tangential stiffness is half of that, as in
-    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93). R is reckoned from the mesh's axis at z = 0.
+    The forces of a coating on its substrate have no resultant: displacements fall with the square of the distance R. For such a
+    centre of dilatation the normal traction on a sphere is -4 G u / R; the tangential stiffness is half of this, as in
+    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93). R is the distance from the axis of the mesh at z = 0.
     """
     ids = mesh.sets.get(HALF_SPACE, np.zeros(0, np.int64))
     matrix = np.zeros((len(mesh.points), 3, 3))
@@ -48,7 +49,7 @@ def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndarray, matrix: np.ndarray) -> None:
-    """`add_matrices` of facets (k,) and their normals."""
+    """`add_matrices` for the facets ids (k,) of a mesh, with their normals."""
     corners = mesh.facets[ids]
     add_matrices(corners, *areas_and_normals(mesh.points, corners), normal, tangential, matrix)
 
@@ -56,7 +57,7 @@ def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndar
 def add_matrices(
     faces: np.ndarray, area: np.ndarray, n: np.ndarray, along: np.ndarray, across: np.ndarray, matrix: np.ndarray
 ) -> None:
-    """Add a third of (along n n^T + across (1 - n n^T)) area of each of the faces (k,3) to each of its nodes: matrix (N,3,3)."""
+    """Add (along n n^T + across (1 - n n^T)) area / 3 of each of the faces (k,3) to the matrices (N,3,3) of its three nodes."""
     nn = n[:, :, None] * n[:, None, :]
     share = (area / 3.0)[:, None, None] * (along[:, None, None] * nn + across[:, None, None] * (np.eye(3) - nn))
     for i in range(3):

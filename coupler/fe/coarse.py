@@ -1,15 +1,15 @@
-"""Coarse grid of the dynamic relaxation: with its masses alone a long wave takes as many steps as there are elements across the bodies.
+"""Coarse grid of the dynamic relaxation. With nodal masses alone a long wave takes as many steps as there are elements across the
+bodies.
 
-A grid of boxes lies over the mesh. The displacements that are linear in each direction between its points get an inverse mass of their
-own beside that of the nodes, in proportion to their flexibility, so that all of them have about the same frequency:
+A grid of boxes lies over the mesh. Displacements that are linear between grid points get an additional inverse mass, proportional
+to their flexibility, so that all of them have about the same frequency:
 
     M^-1 = D^-1 + P (A / s + e P^T D P)^-1 P^T,   A = P^T K P,   s = (omega dt)^2 / dt^2
 
-D: masses of the nodes, P: interpolation from the grid, K: elastic stiffness of the elements, of the half-space and of the springs
-between bodies. M is positive definite, and what adds to the highest frequency is bounded by s: the additive two-level method of domain
-decomposition (Toselli & Widlund 2005, Domain Decomposition Methods) in the place of a mass matrix. That holds for what is in K: springs
-that are missing there, such as bonds at the edge of what is free, would have a frequency without bound. The small number e gives a mass
-to motions that nothing resists.
+D: masses of the nodes; P: interpolation from the grid; K: elastic stiffness of the elements, of the half-space and of the springs
+between bodies; e: small number that gives a mass to motions without stiffness. M is positive definite, and the increase of the
+highest squared frequency is at most s: the additive two-level method of domain decomposition (Toselli & Widlund 2005, Domain
+Decomposition Methods), used as a mass matrix. This bound requires all springs in K, also the bonds at the edge of the free nodes.
 """
 
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ from ..geometry.products import times_rows
 from .blocks import edge_cofactors
 from .explicit import Target
 
-FREQUENCY = 0.7  # omega dt of the grid's displacements: adds an eighth to the bound of the step, 4 / dt^2
-# Nodes in a box of the grid, and boxes, about. With 1500 boxes an equilibrium of 92,000 nodes takes the same time with a sixth fewer
-# steps, but one thread alone solves for the grid.
+FREQUENCY = 0.7  # omega dt of the displacements of the grid: adds an eighth to the bound on omega^2, 4 / dt^2
+# Approximate number of nodes in a box, and of boxes. With 1500 boxes an equilibrium of 92,000 nodes takes a sixth fewer steps but
+# the same time, because a single thread solves for the grid.
 NODES, MOST = 100, 350
 MOST_ACROSS = 20  # boxes in one direction, at most
 CORNERS = 8  # of a box
@@ -41,10 +41,10 @@ def _stiffness(
     low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats,
     occurs: Bools,
 ) -> None:  # fmt: skip
-    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T is it then, A (g,g,3,3) by points and
-    directions. Only the rows of the points [low, high) of the grid are written; occurs (g,g): which blocks are not zero.
+    """Add the elastic stiffness of the first m elements for displacements of the grid to A (g,g,3,3), by points and directions: the
+    stiffness is A + A^T. Writes only the rows of the grid points [low, high). occurs (g,g): mask of the blocks that are not zero.
 
-    points, weights (n,8): of the grid, for each node, the lowest point first and the highest last; weight 0 where it is fixed.
+    points, weights (n,8): grid points of each node, ascending, and their weights, 0 for a fixed node.
     """
     own, gradients = np.empty(4 * CORNERS, np.int64), np.empty((4 * CORNERS, 3))
     shape = np.empty((4, 3))
@@ -86,7 +86,7 @@ def _stiffness(
                 G, lame = V * law.G, V * (law.K - 2.0 / 3.0 * law.G)
                 occurs[own[i], own[j]] = True
                 dot = G * (g[0] * h[0] + g[1] * h[1] + g[2] * h[2])
-                block = A[own[i], own[j]]  # together in memory
+                block = A[own[i], own[j]]  # contiguous in memory
                 for d in range(3):
                     for k in range(3):
                         block[d, k] += lame * g[d] * h[k] + G * g[k] * h[d]
@@ -94,10 +94,11 @@ def _stiffness(
 
 
 class CoarseGrid:
-    """The grid over the active part of a target."""
+    """Coarse grid over the active part of a target."""
 
     def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
-        """free (n,) bool: nodes that can move; mass (n,) kg; dt s: the step, which these masses bear; links: springs between bodies."""
+        """free (n,) bool: nodes that can move; mass (n,) kg; dt s: stable time step with these masses; links: springs between
+        bodies."""
         n, m = t.active_nodes, t.active_elements
         points, weights = _interpolation(t.nodes.x[:n])
         weights[~free[:n]] = 0.0
@@ -129,14 +130,14 @@ class CoarseGrid:
         )
 
     def acceleration(self, force: np.ndarray) -> np.ndarray:
-        """Acceleration (n,3) m/s2 by forces (n,3) N beside that by the masses of the nodes."""
+        """Acceleration (n,3) m/s2 that forces (n,3) N cause through the grid, in addition to the acceleration by the nodal masses."""
         return times_rows(self._P, self._inertia.solve(times_rows(self._PT, force).ravel()).reshape(-1, 3))
 
 
 def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the grid and their weights (n,8) for each node x (n,3): the corners of the box that it lies in.
+    """For each node x (n,3), the grid points (n,8) at the corners of its box, and their weights (n,8).
 
-    Between two neighbouring planes of the grid lie equally many nodes, so that the boxes are small where elements are.
+    The same number of nodes lies between any two neighbouring planes of the grid: boxes are small where elements are small.
     """
     extent = x.std(axis=0)
     across = np.cbrt(min(len(x) / NODES, MOST) / extent.prod()) * extent
@@ -151,16 +152,16 @@ def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _between(P: sparse.csr_array, springs: SpringTable) -> sparse.csr_array:
-    """Stiffness (g,g) N/m of springs between bodies, alike in all directions: 0 where both ends move alike, as they do but at the edge
-    of what is free, or where they have slid apart."""
+    """Stiffness matrix (g,g) N/m of springs between bodies for displacements of the grid, equal in all directions. It is 0 for
+    springs whose ends move together: most springs, except at the edge of the free nodes and after a slip."""
     n, (ends, weights, stiffness) = P.shape[0], springs
-    row, end = np.nonzero(ends < n)  # all others keep still
+    row, end = np.nonzero(ends < n)  # other nodes do not move
     apart = sparse.csr_array((weights[row, end], (row, ends[row, end])), shape=(len(ends), n)) @ P
     return (apart.T @ sparse.diags_array(stiffness) @ apart).tocsr()
 
 
 def _of_half_space(P: sparse.csr_array, t: Target) -> sparse.csr_array:
-    """Stiffness of the half-space for displacements of the grid."""
+    """Stiffness matrix (3g,3g) N/m of the half-space for displacements of the grid."""
     active = t.spring_nodes < t.active_nodes
     own = sparse.kron(P[t.spring_nodes[active]], sparse.eye_array(3), format="csr")
     springs = t.springs[active]

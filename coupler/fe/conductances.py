@@ -1,6 +1,6 @@
-"""Matrix of heat conduction between the nodes of a target at rest; its pattern stays as conductivities change (numba).
+"""Matrix of heat conduction between the nodes of a target at rest, with a fixed sparsity pattern (numba).
 
-Elements and links conduct in the same way: between each two of four nodes. The matrix is made row by row, divided among the threads.
+Elements and links conduct in the same way, between each pair of four nodes. Threads share the rows of the matrix.
 """
 
 from collections.abc import Sequence
@@ -19,14 +19,15 @@ from .heat import LEAST
 from .mesh import around
 from .model import Cells, Metals
 
-LINK_RESISTANCE = 0.03  # of a link of perfect contact, in that of an element: 0.01 takes half as many iterations more
+LINK_RESISTANCE = 0.03  # of a link of perfect contact over that of an element: 0.01 takes 1.5 times as many iterations
 FIRST, SECOND = np.triu_indices(4, 1)  # corners of the six pairs of four nodes
-PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # which of the pairs two corners are
+PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # number of the pair of two corners
 
 
 @dataclass(frozen=True)
 class Links:
-    """Perfect thermal contact between bodies: nodes (k,), each with a point on a triangle (k,3), weights (k,3), and area (k,) m2."""
+    """Perfect thermal contact between bodies: nodes (k,), each linked to a point with barycentric coordinates weights (k,3) on a
+    triangle (k,3), over an area (k,) m2."""
 
     nodes: np.ndarray
     triangles: np.ndarray
@@ -35,8 +36,8 @@ class Links:
 
 
 class Conductors(NamedTuple):
-    """Elements, or links: conn (k,4) nodes; w (k,6) m: conductance of each pair for a conductivity of 1; start, table: those around
-    each node, as in `Cells`; slot (4k,4): in the row of a node, of the four nodes of each that is around it."""
+    """Elements, or links. conn (k,4): nodes; w (k,6) m: conductance of each pair for a conductivity of 1; start, table: conductors
+    around each node, as in `Cells`; slot (4k,4): places of the four nodes of each such conductor in the matrix row of the node."""
 
     conn: Ints
     w: Floats
@@ -47,8 +48,8 @@ class Conductors(NamedTuple):
 
 @dataclass(frozen=True)
 class Conductances:
-    """Thermal conductances between n nodes, and from the gas to each, from_gas (n,) W/K. indptr (n+1,), indices: sparsity pattern
-    of the matrix (CSR), in each row the diagonal first."""
+    """Thermal conductances between n nodes, and from the gas to each node, from_gas (n,) W/K. indptr (n+1,), indices: sparsity
+    pattern of the matrix (CSR); the diagonal comes first in each row."""
 
     elements: Conductors
     links: Conductors
@@ -58,19 +59,19 @@ class Conductances:
 
     @classmethod
     def of(cls, x: np.ndarray, c: Cells, links: Sequence[Links], from_gas: np.ndarray) -> "Conductances":
-        """Conductances of elements with nodes at x (n,3) m and of links between the bodies."""
+        """Conductances of elements c with nodes at x (n,3) m, of links between bodies, and from the gas."""
         n, m = len(x), len(c.conn)
         ends = [np.concatenate([link.nodes[:, None], link.triangles], axis=1) for link in links]
         conn = np.concatenate([np.zeros((0, 4), np.int32), *ends]).astype(np.int32)
-        # conductance k sqrt(area) / LINK_RESISTANCE, 0 where there is no area, times d d^T
+        # conductance k sqrt(area) / LINK_RESISTANCE times d d^T
         area = np.concatenate([np.zeros(0), *(link.area for link in links)])
         weights = np.concatenate([np.zeros((0, 3)), *(link.weights for link in links)])
-        d = np.concatenate([np.ones((len(conn), 1)), -weights], axis=1)  # a node less its point on a triangle
+        d = np.concatenate([np.ones((len(conn), 1)), -weights], axis=1)  # value at the node less value at its point
         between = -d[:, FIRST] * d[:, SECOND] * (np.sqrt(area) / LINK_RESISTANCE)[:, None]
         of_elements = Conductors(c.conn, np.empty((m, 6)), c.start, c.table, np.empty((4 * m, 4), np.int16))
         of_links = Conductors(conn, between, *around(conn, n), np.empty((4 * len(conn), 4), np.int16))
         share(lambda lo, hi: _between_corners(lo, hi, x, c.conn, of_elements.w), m, LEAST)
-        # a row has three nodes of each element and link around it at most, and its own
+        # a row has its own node, and at most three nodes of each element and link around it
         first = 3 * (c.start + of_links.start) + np.arange(n + 1)
         count, found = np.ones(n, np.int32), np.full(first[-1], -1, np.int32)
         found[first[:-1]] = np.arange(n)
@@ -85,7 +86,7 @@ class Conductances:
         return cls(of_elements, of_links, from_gas, indptr, found[found >= 0])
 
     def explicit(self, k: np.ndarray) -> csr_array:
-        """The matrix (n,n) W/K for conductivities k (m,) W/mK; links of perfect contact have the smallest."""
+        """The matrix (n,n) W/K for conductivities k (m,) W/mK of the elements; links have the smallest conductivity."""
         data, of_link = np.empty(len(self.indices)), np.full(len(self.links.conn), k.min())
 
         def add(lo: int, hi: int) -> None:
@@ -98,7 +99,8 @@ class Conductances:
         return self._of(data)
 
     def implicit(self, K: csr_array, time: float, free: np.ndarray, capacity: np.ndarray) -> csr_array:
-        """capacity (n,) J/K + time (s) K for the nodes that are free (n,), 1 or 0; the identity for the others."""
+        """The matrix capacity + time K for nodes with free (n,) = 1, the identity for nodes with free = 0. capacity (n,) J/K; time
+        s."""
         data = np.empty(len(self.indices))
 
         def write(lo: int, hi: int) -> None:
@@ -113,7 +115,7 @@ class Conductances:
 
 @njit(cache=True, nogil=True)
 def _between_corners(lo: int, hi: int, x: Floats, conn: Ints, w: Floats) -> None:
-    """-grad N_a . grad N_b V of the corners of each element, m, into w (m,6)."""
+    """Write -grad N_a . grad N_b V of each pair of corners of the elements to w (m,6) m."""
     for e in range(lo, hi):
         # gradients of the shape functions of nodes 1 to 3, times six volumes
         p0, p1, p2, q0, q1, q2, r0, r1, r2, det = edge_cofactors(
@@ -130,7 +132,7 @@ def _between_corners(lo: int, hi: int, x: Floats, conn: Ints, w: Floats) -> None
 
 @njit(cache=True, nogil=True)
 def _find_nodes(lo: int, hi: int, c: Conductors, first: Ints, count: Ints, found: Ints) -> None:
-    """Add to each row the nodes of the conductors around it that it lacks: found[first[a]:first[a] + count[a]] of node a."""
+    """List the nodes in each row a: found[first[a]:first[a] + count[a]] receives the nodes of the conductors around node a."""
     for a in range(lo, hi):
         for r in range(c.start[a], c.start[a + 1]):
             nodes = c.conn[c.table[r] >> 2]
@@ -146,7 +148,7 @@ def _find_nodes(lo: int, hi: int, c: Conductors, first: Ints, count: Ints, found
 
 @njit(cache=True, nogil=True)
 def _add_rows(lo: int, hi: int, c: Conductors, k: Floats, indptr: Ints, data: Floats) -> None:
-    """Add conductors of conductivity k (m,) to the rows [lo, hi)."""
+    """Add conductors with conductivities k (m,) to the rows [lo, hi) of the matrix."""
     for a in range(lo, hi):
         for r in range(c.start[a], c.start[a + 1]):
             e, i = c.table[r] >> 2, c.table[r] & 3
@@ -161,7 +163,7 @@ def _add_rows(lo: int, hi: int, c: Conductors, k: Floats, indptr: Ints, data: Fl
 def _write_implicit(
     lo: int, hi: int, time: float, free: Floats, capacity: Floats, indptr: Ints, indices: Ints, K: Floats, data: Floats
 ) -> None:
-    """The rows [lo, hi) of `Conductances.implicit`."""
+    """Write the rows [lo, hi) of `Conductances.implicit` to data."""
     for a in range(lo, hi):
         for z in range(indptr[a], indptr[a + 1]):
             data[z] = time * K[z] * free[a] * free[indices[z]]
@@ -172,8 +174,9 @@ def _write_implicit(
 def levels(
     lo: int, hi: int, c: Conductors, metals: Metals, nodal: Floats, T: Floats, share: Floats, k: Floats, excess: Floats, rate: Floats,
 ) -> None:  # fmt: skip
-    """Conductivity of each element at the mean of its nodes, into k (m,) W/mK; how much warmer it is than this mean, excess (m,) K; and
-    the rate at which it loses that, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of its capacity."""
+    """Write, for each element: its conductivity at the mean temperature of its nodes, k (m,) W/mK; its excess over this mean,
+    excess (m,) K; the rate at which the excess decays, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of
+    its capacity."""
     for e in range(lo, hi):
         n, w = c.conn[e], c.w[e]
         mean = 0.25 * (nodal[n[0]] + nodal[n[1]] + nodal[n[2]] + nodal[n[3]])

@@ -1,11 +1,10 @@
-"""Heat through a pause: Fourier's law over all bodies, implicit in time, while the bodies are at rest.
+"""Heat conduction in all bodies during a pause, while they are at rest: Fourier's law, implicit in time.
 
-Linear tetrahedra in the current configuration; capacities are lumped, and links carry heat
-between nodes of one body and facets of another. The L-stable diagonally implicit Runge-Kutta scheme of two stages and second order
-(Alexander 1977, SIAM J. Numer. Anal. 14, 1006) with steps that grow geometrically, as diffusion slows down;
-k(T) and c_p(T) are those at the beginning of each step. Elements keep their own temperatures as `fe.heat` says: what
-one lies above the mean of its nodes flows into them, what changes at nodes it gets back as an increment. Heat is conserved
-to rounding: what the linear solver leaves of the whole of it is spread over all nodes.
+Linear tetrahedra in the current configuration with lumped capacities; links conduct heat between nodes of one body and facets of
+another. The time integration is the L-stable diagonally implicit Runge-Kutta scheme of two stages and second order (Alexander 1977,
+SIAM J. Numer. Anal. 14, 1006). Steps grow geometrically, as diffusion slows down; k(T) and c_p(T) are values at the beginning of a
+step. Elements have their own temperatures, as in `fe.heat`. Heat is conserved to rounding: the residual of the linear solver is
+spread over all nodes.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,15 +22,17 @@ from .model import Elements
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 STEP_GROWTH = (
-    2.0  # of the step: with 1.5 the temperatures after a pause are a fifth closer to the limit, at 1.6 times the steps
+    2.0  # ratio of steps: 1.5 reduces the error of temperatures after a pause by a fifth, with 1.6 times the steps
 )
-FIRST_STEP = 0.1  # first step, in the shortest time that heat takes through an element
-CG_TOLERANCE = 3e-4  # of the linear solver: a millikelvin after a pause; 1e-4 takes an eighth more iterations
+FIRST_STEP = 0.1  # first step over the shortest time constant of an element
+CG_TOLERANCE = (
+    3e-4  # of the linear solver: an error of a millikelvin after a pause; 1e-4 takes an eighth more iterations
+)
 
 
 @dataclass(frozen=True)
 class Film:
-    """Gas on a surface: nodes (k,), each with an area (k,) m2; coefficient W/(m2 K), T K of the gas."""
+    """Gas on a surface. nodes (k,); area (k,) m2: of each node; coefficient: heat transfer, W/(m2 K); T: of the gas, K."""
 
     nodes: np.ndarray
     area: np.ndarray
@@ -43,11 +44,12 @@ def cool(
     target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None,
     recover: Callable[[float], None] = lambda _: None,
 ) -> dict[str, float]:  # fmt: skip
-    """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
+    """Conduct heat for `time` s in a target at rest. T, sigma_y and the ledger of the target change at once, pressures in its next
+    step.
 
-    fixed: nodes kept at fixed_T K; every other face is insulated but for the film. recover(s): called with the time of each half of a
-    step. Returns steps, hottest and mean temperatures before and after (K), and the heat (J) that has left through fixed nodes and to
-    the gas. Raises SolverError when the linear solver does not converge.
+    fixed: nodes at the constant temperature fixed_T, K; all other faces are adiabatic, except those with the film. recover(s): called
+    before and after each step with half its time. Returns the number of steps, the largest and the mean temperature before and after
+    (K), and the heat (J) that has left through fixed nodes and the gas. Raises SolverError when the linear solver does not converge.
     """
     t = target
     n, m = len(t.nodes.x), len(t.mesh.conn)
@@ -86,13 +88,13 @@ def cool(
     known = np.full(n, np.inf)
     while left > 0.0:
         share(level, m, LEAST)
-        if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
+        if np.abs(T - known).max() > 1.0:  # K: below this change the last matrix is accurate enough
             K, known = matrix.explicit(k), T.copy()
         dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
         share(lose, m, LEAST)
         source = capacity * nodal(own)
-        # fixed nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
+        # rows and columns of fixed nodes are removed from the system; their heat flow to other nodes is on the right-hand side
         A = matrix.implicit(K, GAMMA * dt, free, capacity)
         change, stage = np.where(free == 0.0, fixed_T - T, 0.0), np.zeros(n)
         for weight in ((1.0 - GAMMA) / GAMMA, 1.0):
@@ -101,10 +103,10 @@ def cool(
                 raise SolverError(
                     "the heat conduction in the pause between impacts does not converge: give a shorter dwell or a finer preset"
                 )
-            # what the solver has left of the whole heat, spread over all nodes
+            # the residual of the total heat is spread over all nodes
             stage += free * (np.sum(b - times(A, stage)) / (free @ times(A, free)))
             change += weight * stage
-        # each element gets what its nodes gained, and gives what it had above them
+        # each element gets the increments of its nodes, and loses its excess over them
         recover(0.5 * dt)
         share(take, m, LEAST)
         recover(0.5 * dt)

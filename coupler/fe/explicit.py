@@ -1,8 +1,8 @@
 """The explicit finite-element target: central differences on tetrahedra with averaged nodal pressure.
 
-The step is that of LAMMPS (kick half, drift, forces, kick half), divided where contact is computed, once for both domains at n+1:
+The step has the form of LAMMPS (half kick, drift, forces, half kick). It is divided at n+1, where contact is computed for both domains:
 
-    target.advance(dt)          v to n+1/2, x to n+1, stress and internal forces at n+1
+    target.advance(dt)          v at n+1/2, x at n+1, stress and internal forces at n+1
     target.f_ext[...] += ...    contact forces at n+1
     target.finish()             boundary forces, work of all forces over the step
 """
@@ -15,9 +15,9 @@ import numpy as np
 from ..core import safety
 from ..core.arrays import occurring
 from ..core.loops import PARTS
-from ..core.records import Shape, check_indices, copied, new_rows, put
+from ..core.records import Shape, check_indices, copied, new_rows, put, unfit
 from ..core.threads import share, together
-from ..errors import CheckpointError, SolverError
+from ..errors import SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from . import kernels as k
@@ -32,7 +32,7 @@ from .window import UNDISTURBED, Edge, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
-AHEAD = 1.5  # speed of the front of what is computed over that of sound
+AHEAD = 1.5  # speed of the front of active elements over the speed of sound
 LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 
@@ -40,9 +40,10 @@ LEAST_ELEMENTS = 1000  # in a range of a shared loop
 class TargetState:
     """State from which a target continues with the same numbers; the mesh is not part of it.
 
-    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
-    the dashpots; support (3,) N: from outside; dt_last s; reach, horizon m; least_mass kg; active_nodes, active_elements: how many are
-    computed. edge: of a window, where that is elastic. rest_scale: how much the half-space round the target has contracted.
+    force_suffix_sum (n+1,3) N: row i is the sum of the nodal forces of nodes i and above when they became inactive; drag (d,3) N:
+    forces of the dashpots; support (3,) N: external force; dt_last s; reach m: distance of the front of active elements; horizon m:
+    radius of the window; least_mass kg: see `weigh_surface`; active_nodes, active_elements: numbers of computed ones; edge: of a
+    window with an elastic edge; rest_scale: contraction of the half-space round the target.
     """
 
     nodes: NodeState
@@ -65,18 +66,17 @@ class TargetState:
 
 
 class Target(TargetState):
-    """State and motion of one finite-element domain.
+    """State and motion of one finite-element domain. SI units.
 
-    nodes, elements: its state (`fe.state`), whose arrays kernels change in place. f_ext (n,3) N. SI units. Nodes and elements are
-    numbered outwards from the point of impact, or from the nearest of several, and only the first `active_nodes`, `active_elements` of
-    them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `set_window`) or the `limit` (m, see
-    `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
-    balance: energies so far.
+    nodes, elements: state (`fe.state`); kernels change its arrays in place. f_ext (n,3) N: external forces. Nodes and elements are
+    numbered outwards from the nearest point of impact. Only the first `active_nodes` and `active_elements`, those that a wave can
+    have reached, are computed, and none beyond the `horizon` (m, see `set_window`) or the `limit` (m, see `activate_all`). inertia:
+    of scaled elements (`fe.inertia`). balance: sums of energies.
 
-    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
-    Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
-    not expand, nor do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one
-    material.
+    Heat from plastic work, `warm` or conduction adds to the energy of the nodes and so, by Gamma0, to their pressure: with
+    Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. There is no expansion with a linear equation
+    of state (Gamma0 = 0) or with laws without `expansion`. Bodies of different materials share no nodes: a nodal pressure belongs
+    to one material.
     """
 
     conduction: Conduction | None
@@ -88,11 +88,10 @@ class Target(TargetState):
         self, mesh: TetMesh, laws: np.ndarray, temperature: float | np.ndarray, law_of: np.ndarray | None = None,
         fixed: tuple[str, ...] = ("bottom",), absorbing: tuple[str, ...] = (), track_wave: bool = True, conduction: bool = False,
     ):  # fmt: skip
-        """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
-
-        temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
-        track_wave: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
-        Raises SolverError where elements of different laws share a node.
+        """laws: LAW records, one per material; law_of (m,): law of each element (default: the first); temperature: K, one value or
+        (m,); fixed, absorbing: names of facet sets (top, bottom, sides); track_wave: compute only elements that a wave can have
+        reached; conduction: heat flows between elements (`fe.heat`). Raises SolverError where elements of different laws share a
+        node.
         """
         n, m = len(mesh.points), len(mesh.conn)
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
@@ -122,8 +121,8 @@ class Target(TargetState):
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
         if track_wave:
-            self.reach = 16.0 * edge  # the numerical front runs a little ahead of the wave
-        #: (m+1,): how many nodes the first elements reach up to
+            self.reach = 16.0 * edge  # numerical waves run a little ahead of physical ones
+        #: (m+1,): for each number of elements, the first ones, the number of nodes up to their last node
         self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
 
@@ -138,13 +137,13 @@ class Target(TargetState):
         return self.rest_scale * self.mesh.points[self.spring_nodes]
 
     def foundation_load(self) -> np.ndarray:
-        """Row sums (n,) of the stiffness of the half-space's springs for the bound on omega^2, N/m."""
+        """Row sums (n,) N/m of the stiffness matrix of the half-space, for the bound on omega^2."""
         load = np.zeros(len(self.nodes.x))
         load[self.spring_nodes] = np.abs(self.springs).sum(axis=2).max(axis=1, initial=0.0)
         return load
 
     def _weigh(self) -> None:
-        """Masses (n,) kg of the nodes; infinite for fixed nodes."""
+        """Set the masses (n,) kg of the nodes and their inverses, which are 0 for fixed nodes."""
         self.mass = self.mesh.node_volume * self.laws["rho"][self.metals.of_node]
         if self.least_mass > 0.0:
             surface = occurring(self.mesh.facets, len(self.mass))
@@ -153,22 +152,22 @@ class Target(TargetState):
         self.inv_mass[self.fixed] = 0.0
 
     def weigh_surface(self, least: float, most: float) -> float:
-        """Increase the masses of surface nodes to at least `least` kg until the bodies rest again, by at most `most` kg in total, the
-        lightest nodes first. The bodies must be at rest: energy and momentum do not change. Returns the mass added, kg."""
+        """Increase the masses of surface nodes to at least `least` kg until the next `rest`, by at most `most` kg in total, the
+        lightest nodes first. The target must be at rest: energy and momentum do not change. Returns the added mass, kg."""
         self.least_mass = 0.0
         self._weigh()
         surface, before = self.mass[occurring(self.mesh.facets, len(self.mass))], float(self.mass.sum())
-        # as for steps that go with the root of the masses
+        # `step_for` with steps equal to the root of the masses
         self.least_mass = min(least, step_for(surface, np.sqrt(surface), most, np.inf) ** 2)
         self._weigh()
         return float(self.mass.sum()) - before
 
     def set_window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
-        """Compute nothing farther than `radius` m from the point of impact (`fe.window`). origin (3,) m: that point, for an edge that
-        is elastic, at rest where it is or at rest (k,3) m; None: the edge is fixed.
+        """Exclude all elements farther than `radius` m from the point of impact (`fe.window`); they must be at rest, in
+        equilibrium. A window stays for the life of a target. Returns the number of elements within.
 
-        What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
-        elements are within.
+        origin (3,) m: point of impact, for an elastic edge; None: the edge is fixed. rest (k,3) m: rest positions of the elastic
+        edge, by default the present ones.
         """
         self.horizon = radius
         n, m = self._active_counts(np.inf)
@@ -190,34 +189,34 @@ class Target(TargetState):
 
     @property
     def undisturbed(self) -> float:
-        """Distance from the point of impact (m) up to which no window affects the target."""
+        """Distance from the point of impact, m, up to which the window does not affect the target."""
         return UNDISTURBED * self.horizon
 
     def _active_counts(self, reach: float) -> tuple[int, int]:
-        """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""
+        """Numbers of active nodes and elements with the front at `reach` m from the point of impact."""
         elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon, self.limit)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
     @property
     def most_nodes(self) -> int:
-        """Largest number of active nodes within the window."""
+        """Number of nodes within the window."""
         return self._active_counts(np.inf)[0]
 
     def active_after(self, time: float) -> int:
-        """Number of nodes that the wave front has reached (active nodes) after `time` s more."""
+        """Number of active nodes, those that the front has reached, after another `time` s."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
-        """Advance the front of active elements by dt s, ahead of the waves, and activate what it reaches."""
+        """Advance the front, which runs ahead of the waves, by dt s, and activate the elements that it reaches."""
         self.reach += self.wave_speed * dt
         self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
     def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> float:
-        """Largest stable time step (s, Courant factor and damping included).
+        """Largest stable time step, s, with safety factors and damping.
 
-        The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
-        `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that become active until then count too.
-        springs: between nodes.
+        enough s: if the safe bound of the elements is shorter than this, the sharper limit of the whole mesh is computed
+        (`fe.stability`); ahead s: time for which the step is kept: elements that become active in this time count too; springs:
+        between nodes.
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
@@ -239,9 +238,8 @@ class Target(TargetState):
         return dt / (1.0 + LINEAR_VISCOSITY)
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:
-        """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s; is_conducting: whether heat flows between elements.
-
-        Raises SolverError when a tetrahedron inverts.
+        """Move to n+1 and compute stress and internal forces there; velocities are at n+1/2. dt s; is_conducting: heat flows
+        between elements. Raises SolverError when a tetrahedron inverts.
         """
         half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
         self.balance.impulse += half_step * self.support
@@ -255,8 +253,9 @@ class Target(TargetState):
     def move(
         self, kicked: int, kick: float, dt: float, inv_mass: np.ndarray, viscosity: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        """Accelerate the first `kicked` nodes for `kick` s by all forces on them, and move the active nodes for dt s; stress and
-        internal forces there. inv_mass (n,) 1/kg; viscosity: coefficients of the linear and the quadratic bulk viscosity.
+        """Accelerate the first `kicked` nodes for `kick` s by all forces on them, move the active nodes for dt s, and compute
+        stress and internal forces there. inv_mass (n,) 1/kg; viscosity: coefficients of the linear and the quadratic bulk
+        viscosity.
 
         Raises SolverError when a tetrahedron inverts.
         """
@@ -275,7 +274,7 @@ class Target(TargetState):
         self.balance.heat += heat
 
     def finish(self) -> None:
-        """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
+        """Complete the step after the contact forces have been added to `f_ext`: boundary forces, work and impulses."""
         self.add_up(self.dt_last)
         if len(self.dashpot_nodes):
             power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.nodes.v, self.drag, self.nodes.total)
@@ -290,12 +289,12 @@ class Target(TargetState):
             self.support -= taken
 
     def add_up(self, dt: float) -> None:
-        """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
+        """Add up internal and external forces of the active nodes, and the work of the internal forces in a step of dt s."""
         n = self.active_nodes
         work, nodes = np.zeros(PARTS), self.nodes
         together(motion.add_up, n, dt, nodes.f_old, nodes.f, nodes.v, self.f_ext, nodes.total, work)
         self.balance.internal_work -= float(work.sum())
-        # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
+        # the inactive part supports the active part: forces of its elements on shared nodes, external forces on its own nodes
         self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.nodes.x), self.f_ext)
 
     def pull(self) -> None:
@@ -305,47 +304,32 @@ class Target(TargetState):
             self.nodes.total[self.edge.nodes] += pull
             self.support += pull.sum(axis=0)
         if len(self.spring_nodes):
-            active = self.spring_nodes < self.active_nodes  # what is inactive is in balance with its springs
+            active = self.spring_nodes < self.active_nodes  # inactive nodes are in balance with their springs
             nodes = self.spring_nodes[active]
             pull = -np.einsum("aij,aj->ai", self.springs[active], self.nodes.x[nodes] - self.spring_rest[active])
             self.nodes.total[nodes] += pull
             self.support += pull.sum(axis=0)
 
     def external_impulse(self) -> np.ndarray:
-        """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
+        """Impulse (3,) N s of supports and absorbing sides on the target since its start."""
         return self.balance.impulse + 0.5 * self.dt_last * self.support
 
-    def state(self) -> TargetState:
-        """State from which the target continues with the same numbers. The mesh is not part of it."""
-        return copied(self)
-
     def restore(self, state: TargetState) -> None:
-        """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
+        """Restore the state (`core.records.copied`) of a target of the same mesh. Raises CheckpointError where it does not fit."""
         n, m = len(self.nodes.x), len(self.mesh.conn)
         if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
-            raise CheckpointError(
-                "the checkpoint does not fit: the target has another number of nodes or elements;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("the target has another number of nodes or elements")
         self.least_mass = state.least_mass
         self._weigh()
         if state.horizon != self.horizon:
             self.set_window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.drag) != len(self.drag):
-            raise CheckpointError(
-                "the checkpoint does not fit: the target has other boundaries; start again with coldspray run --force"
-            )
+            raise unfit("the target has other boundaries")
         check_indices(state.inertia, nodes=n)
         if len(state.inertia.taken) != len(state.inertia.last):
-            raise CheckpointError(
-                "the checkpoint does not fit: the forces of scaled elements are those of other nodes;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("the forces of scaled elements belong to other nodes")
         if (self.conduction is None) != (state.conduction is None):
-            raise CheckpointError(
-                "the checkpoint does not fit: only one of the target and the checkpoint conducts heat;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("only one of the target and the checkpoint conducts heat")
         if state.highest is not None:
             self.highest = HighestFrequency(n, m)
         put(state, self)
@@ -353,14 +337,16 @@ class Target(TargetState):
             self.edge.load(self, self._active_counts(np.inf)[1])
 
     def start_from(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
-        """Start from the state of nodes and elements (`target.domain`); the balance continues from that of `before`."""
+        """Start from a state of nodes and elements (`target.domain`). The balance continues from the target `before`."""
         self.nodes, self.elements = nodes, elements
         self.balance, self.rest_scale = copied(before.balance), before.rest_scale
         self._store_inactive_forces()
 
     def rest(self) -> None:
         """Set all velocities to zero."""
-        self.balance.impulse = self.external_impulse() - self.mass @ self.nodes.v  # what stopped it came from outside
+        self.balance.impulse = (
+            self.external_impulse() - self.mass @ self.nodes.v
+        )  # an external impulse stops the target
         self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         self.inertia = ElementInertia()
         if self.least_mass > 0.0:
@@ -368,13 +354,12 @@ class Target(TargetState):
             self._weigh()
 
     def activate_all(self, limit: float = np.inf) -> None:
-        """Make all nodes and elements active that are within `limit` m of the point of impact, and no others until
-        `deactivate_beyond`."""
+        """Activate all nodes and elements within `limit` m of the point of impact, and no others until `deactivate_beyond`."""
         self.reach, self.limit, self.active_nodes, self.active_elements = np.inf, limit, 0, 0
         self._activate(0.0)
 
     def deactivate_beyond(self, reach: float) -> None:
-        """Deactivate all nodes and elements farther than `reach` m from the impact point: they must be in equilibrium, at rest."""
+        """Deactivate all nodes and elements farther than `reach` m from the point of impact; they must be in equilibrium, at rest."""
         self._store_inactive_forces()
         self.reach, self.limit, self.active_nodes, self.active_elements = reach, np.inf, 0, 0
         self._activate(0.0)
@@ -385,11 +370,11 @@ class Target(TargetState):
         self.force_suffix_sum = np.cumsum(forces[::-1], axis=0)[::-1]
 
     def velocity(self) -> np.ndarray:
-        """Velocities at the same instant as the positions, (n,3) m/s."""
+        """Velocities (n,3) m/s at the time of the positions."""
         return self.nodes.v + (0.5 * self.dt_last) * self.nodes.total * self.inv_mass[:, None]
 
     def kinetic(self) -> float:
-        """Kinetic energy in J: sum of m v(n-1/2).v(n+1/2) / 2, the one that central differences conserve together with the work."""
+        """Kinetic energy in J: sum of m v(n-1/2).v(n+1/2) / 2, whose change in central differences is the work of the forces."""
         next_v = self.nodes.v + self.dt_last * self.nodes.total * self.inv_mass[:, None]
         return 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.nodes.v, next_v))
 
@@ -398,18 +383,18 @@ class Target(TargetState):
         return self.mass @ self.velocity()
 
     def elastic(self) -> float:
-        """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of half-space and edge."""
+        """Recoverable energy in J: of deviators, of the volume without heat, and of the springs of half-space and edge."""
         m, e = len(self.mesh.conn), self.elements  # inactive elements may be under stress
         shear = k.elastic_shear_energy(0, m, self.mesh.V0, self.metals, e.volume, e.s)
         u = self.nodes.x[self.spring_nodes] - self.spring_rest
         shear += 0.5 * float(np.einsum("ai,aij,aj->", u, self.springs, u))
         if self.edge is not None:
             shear += self.edge.energy(self.nodes.x)
-        pending = float(np.sum(self.elements.heat))  # reaches the nodes in the next step
+        pending = float(np.sum(self.elements.heat))  # the nodes receive it in the next step
         return shear + float(self.mesh.node_volume @ self.nodes.energy) - (float(self.balance.heat) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (J, one for each of `elements`, repeats allowed) into elements, which become active.
+        """Add heat (k,) J to elements (k,), repeats allowed. The elements become active.
 
         Their temperature rises at once, the pressure of their nodes in the next step.
         """
@@ -425,7 +410,7 @@ class Target(TargetState):
         )
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""
+        """Add heat (J, of the shape of `nodes`) to the elements around each node, in equal parts."""
         conn = self.mesh.conn
         around = np.bincount(conn.ravel(), minlength=len(self.nodes.x))
         of_node = np.bincount(nodes.ravel(), heat.ravel(), len(self.nodes.x)) / np.maximum(around, 1)
@@ -434,7 +419,7 @@ class Target(TargetState):
         self.warm(elements, of_element[elements])
 
     def stress(self) -> np.ndarray:
-        """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""
+        """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy: deviator less mean nodal pressure."""
         sigma = self.elements.s.copy()
         sigma[:, :3] -= self.nodes.p[self.mesh.conn].mean(axis=1)[:, None]
         return sigma

@@ -1,4 +1,4 @@
-"""Gradient of the plastic strain of elements, where it hardens a metal (`constitutive.with_gradient`)."""
+"""Gradient of the plastic strain of elements, which hardens a metal (`constitutive.with_gradient`)."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +15,8 @@ from .model import Cells
 
 @contextmanager
 def growing(target: Target) -> Iterator[None]:
-    """What flows while this lasts, a window of steps, adds to the gradient of plastic strain, where that hardens a metal."""
+    """Context of a chunk of steps: at its end the plastic strain of the chunk adds to the gradient, where the gradient hardens a
+    metal."""
     if not target.laws["gradient_length"].any():
         yield
         return
@@ -29,10 +30,11 @@ def growing(target: Target) -> Iterator[None]:
 
 @njit(cache=True, nogil=True)
 def _grow(m: int, grown: Floats, x: Floats, c: Cells, at_node: Floats, share: Floats, eps_gradient: Floats) -> None:
-    """Add the gradient of the plastic strain of a window of steps to that of the first m elements, eps_gradient (m,3) 1/m.
+    """Add the gradient of the plastic strain of a chunk of steps to eps_gradient (m,3) 1/m of the first m elements.
 
-    grown (m,): that strain, averaged at the nodes over the volumes around them, at_node and share (n,), which are overwritten. In the
-    present place, R^T F^-T = U^-1, and in the unrotated frame, in which it stays: as Huang et al. (2004) integrate it.
+    grown (m,): plastic strain of the chunk. It is averaged at the nodes, weighted with the volumes around them; at_node, share
+    (n,): work arrays. The gradient is taken in the current configuration and stored in the unrotated frame, R^T F^-T = U^-1, as
+    Huang et al. (2004) integrate it.
     """
     conn, V0 = c.conn, c.V0
     for e in range(m):

@@ -1,11 +1,10 @@
 """Heat conduction in the explicit target: Fourier's law on its tetrahedra, explicit in time.
 
-The target keeps temperatures in elements, where plastic work heats them; conduction needs nodes. Nodes have temperatures
-of their own, which conduct like linear tetrahedra with lumped capacities in the current configuration. What heats an
-element raises its nodes by the mean, weighted with heat capacities, of the elements around them; what conduction changes
-at nodes the elements get back as an *increment*, each the mean of its nodes. So an element keeps what it has where
-nothing flows, and heat is conserved to rounding, whatever k(T) and c_p(T) are. What an element lies above the mean of its
-nodes, which they cannot see, flows into them at the rate at which an element levels out, k tr(sum b b^T) / (rho c_p).
+The target stores temperatures in elements, where plastic work heats them; conduction needs temperatures at nodes. Nodes conduct as
+linear tetrahedra with lumped capacities in the current configuration. A rise of temperature in elements raises each node by the
+mean of the elements around it, weighted with heat capacities. Conduction returns *increments* to the elements: each gets the mean
+of its nodes. Therefore an element without heat flow keeps its temperature, and heat is conserved to rounding for any k(T) and
+c_p(T). The excess of an element over the mean of its nodes flows into the nodes at the rate k tr(sum b b^T) / (rho c_p).
 
 Faces are adiabatic.
 """
@@ -27,15 +26,15 @@ from .blocks import edge_cofactors
 from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
 
-EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
+EVERY = 10  # mechanical steps per step of conduction: about the stable step of conduction in copper, far less than it in steel
 LEAST = 4000  # elements or nodes in a range of a loop that threads share
 
 
 @dataclass(eq=False)
 class ConductionState:
-    """Record of the conduction over n nodes and m elements. last (m,) K: temperatures of the elements after the last conduction; of the
-    nodes capacity (n,) J/K, T (n,) K, and known (n,): whether a node has a temperature; known_elements: the first ones, whose nodes
-    have one; elapsed s since the last conduction and steps since the start."""
+    """State of the conduction over n nodes and m elements. last (m,) K: temperatures of the elements after the last conduction;
+    capacity (n,) J/K, T (n,) K: of the nodes; known (n,): whether a node has a temperature; known_elements: number of elements, the
+    first ones, whose nodes have one; elapsed s: time since the last conduction; steps: number since the start."""
 
     last: Annotated[np.ndarray, Shape(-1)]
     capacity: Annotated[np.ndarray, Shape(-1)]
@@ -47,8 +46,9 @@ class ConductionState:
 
 
 class Flow(NamedTuple):
-    """Arrays of the kernels. Elements: share (m,) J/K, a quarter of the heat capacity; rate (m,) 1/s; flow (m,4) W into the nodes; own
-    (m,) K lost to the nodes; gain (m,) J; last (m,) K. Nodes: capacity (n,) J/K; T, mean, change (n,) K."""
+    """Arrays of the kernels. Elements: share (m,) J/K: a quarter of the heat capacity; rate (m,) 1/s; flow (m,4) W: heat flow into
+    the nodes; own (m,) K: decrease towards the mean of the nodes; gain (m,) J; last (m,) K. Nodes: capacity (n,) J/K; T, mean,
+    change (n,) K."""
 
     share: Floats
     rate: Floats
@@ -63,8 +63,7 @@ class Flow(NamedTuple):
 
 
 class Conduction(ConductionState):
-    """Conduction over the elements of one target of n nodes and m elements. A node gets its temperature from the elements when it is
-    first active."""
+    """Conduction in a target of n nodes and m elements. A node gets its first temperature from the elements when it becomes active."""
 
     def __init__(self, n: int, m: int):
         super().__init__(np.zeros(m), np.zeros(n), np.zeros(n), np.zeros(n, bool))
@@ -72,7 +71,7 @@ class Conduction(ConductionState):
         self.arrays = Flow(share, rate, flow, own, gain, self.last, self.capacity, self.T, np.zeros(n), np.zeros(n))
 
     def advance(self, dt: float, t: FiniteElements) -> None:
-        """Count a mechanical step of dt (s). Every EVERY-th step conducts heat over the time since the last conduction."""
+        """Count a mechanical step of dt (s). Every EVERY steps, conduct heat over the time since the last conduction."""
         self.elapsed += dt
         self.steps += 1
         if self.steps % EVERY == 0:
@@ -80,9 +79,9 @@ class Conduction(ConductionState):
             self.elapsed = 0.0
 
     def conduct_for(self, time: float, t: FiniteElements) -> None:
-        """Conduct among the active elements, whose boundary is adiabatic, for a time (s) in as many stable steps as it takes.
+        """Conduct heat among the active elements for `time` s, in stable steps; their boundary is adiabatic.
 
-        T and sigma_y of t change; its heat is increased by what each element gains.
+        Changes T, sigma_y and heat of the elements of t.
         """
         n, m, left = t.active_nodes, t.active_elements, time
         if m == 0:
@@ -95,7 +94,7 @@ class Conduction(ConductionState):
             left = left - dt if left > 1.5 * dt else 0.0
 
     def _sync_nodes(self, t: FiniteElements) -> None:
-        """Add to the nodes the rise of temperature of their elements since the last call."""
+        """Raise the temperatures of the nodes by the rise of their elements since the last call."""
         n, m, a, known = t.active_nodes, t.active_elements, self.arrays, self.known_elements
         a.own[:known] = t.elements.T[:known] - self.last[:known]
         a.own[known:m] = 0.0
@@ -109,7 +108,7 @@ class Conduction(ConductionState):
             self.known_elements = m
 
     def flows(self, t: FiniteElements) -> float:
-        """Heat that flows between nodes, W, into arrays.flow; returns the fastest rate of an element, 1/s."""
+        """Write the heat flow between nodes to arrays.flow, W. Returns the fastest rate of an element, 1/s."""
         fastest = np.zeros(PARTS)
         m, volume = t.active_elements, t.elements.volume
         together(_flows, m, t.nodes.x, volume, t.cells, t.metals, self.arrays, fastest)
@@ -118,7 +117,7 @@ class Conduction(ConductionState):
 
 @njit(cache=True, nogil=True)
 def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, value: Floats, a: Flow) -> None:
-    """`means` of a value (m,) of the elements at temperatures T (m,) K, in all threads."""
+    """`means` of values (m,) of the elements at temperatures T (m,) K, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
         shares(lo, hi, c, metals, T, a.share)
     for lo, hi, _ in ranges(team, 1, n, LEAST):
@@ -127,9 +126,9 @@ def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, v
 
 @njit(cache=True, nogil=True)
 def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elements: Elements, a: Flow) -> None:
-    """A step of dt (s) of the first n nodes and m elements with the `flows`, in all threads."""
+    """One step of conduction over dt (s) for the first n nodes and m elements, with the heat flow in a.flow, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
-        for e in range(lo, hi):  # what it loses of its temperature above the mean of its nodes
+        for e in range(lo, hi):  # decrease of the excess over the mean of the nodes
             n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
             a.own[e] = dt * a.rate[e] * (elements.T[e] - 0.25 * (a.T[n0] + a.T[n1] + a.T[n2] + a.T[n3]))
         shares(lo, hi, c, metals, elements.T, a.share)
@@ -144,7 +143,7 @@ def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elem
 
 @njit(cache=True, nogil=True)
 def shares(lo: int, hi: int, c: Cells, metals: Metals, T: Floats, share: Floats) -> None:
-    """A quarter of each element's heat capacity, J/K, into share (m,): what each of its nodes carries."""
+    """Write a quarter of each element's heat capacity, the share of each of its nodes, to share (m,) J/K."""
     for e in range(lo, hi):
         law = metals.laws[metals.of_element[e]]
         share[e] = 0.25 * law.rho * c.V0[e] * heat_capacity(law, T[e])
@@ -152,7 +151,8 @@ def shares(lo: int, hi: int, c: Cells, metals: Metals, T: Floats, share: Floats)
 
 @njit(cache=True, nogil=True)
 def means(lo: int, hi: int, c: Cells, share: Floats, value: Floats, capacity: Floats, mean: Floats) -> None:
-    """Mean of an element's value (m,) at nodes, weighted with heat capacities: mean (n,) and capacity (n,) J/K."""
+    """Write the means of element values (m,) at the nodes, weighted with heat capacities, to mean (n,), and the sums of the
+    capacities to capacity (n,) J/K."""
     for a in range(lo, hi):
         total = 0.0
         weighted = 0.0
@@ -166,10 +166,10 @@ def means(lo: int, hi: int, c: Cells, share: Floats, value: Floats, capacity: Fl
 
 @njit(cache=True, nogil=True)
 def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow, fastest: Floats) -> None:
-    """Heat that each of the first m elements conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,), in all
-    threads.
+    """Write the heat flow of the first m elements into their nodes, -k v b_I . grad T, to a.flow (m,4) W, in all threads.
 
-    k is taken at the mean of the nodes. rate (m,): k v tr(sum b b^T) / capacity, 1/s; fastest (PARTS,): the largest, part by part.
+    k is the conductivity at the mean temperature of the nodes. a.rate (m,) 1/s: k v tr(sum b b^T) / capacity; fastest (PARTS,) 1/s:
+    the largest rate, part by part.
     """
     T, flow, rate = a.T, a.flow, a.rate
     for lo, hi, part in ranges(team, 0, m, LEAST):
@@ -195,7 +195,8 @@ def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Meta
 
 @njit(cache=True, nogil=True)
 def changes(lo: int, hi: int, dt: float, c: Cells, a: Flow) -> None:
-    """Rise of temperature of each node over dt (s), K, into change (n,) and T (n,): mean (n,) K and what flows in."""
+    """Write the rise of temperature of each node over dt (s) to a.change (n,) K, and add it to a.T (n,): a.mean (n,) K and heat
+    flow."""
     for i in range(lo, hi):
         heat = 0.0
         for r in range(c.start[i], c.start[i + 1]):
@@ -206,7 +207,7 @@ def changes(lo: int, hi: int, dt: float, c: Cells, a: Flow) -> None:
 
 @njit(cache=True, nogil=True)
 def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floats, gain: Floats) -> None:
-    """Heat each element gains as its nodes change their temperature and as it loses its own (m,) K to them, J."""
+    """Write the heat that each element gains by the change (n,) K of its nodes, less the decrease own (m,) K, to gain (m,) J."""
     for e in range(lo, hi):
         rise = change[conn[e, 0]] + change[conn[e, 1]] + change[conn[e, 2]] + change[conn[e, 3]]
         gain[e] = share[e] * (rise - 4.0 * own[e])
@@ -214,7 +215,8 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 @njit(cache=True, nogil=True)
 def take_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
-    """Give elements gain (m,) J: T by enthalpy, sigma_y by softening; heat grows by what makes pressure. Returns that in all, J."""
+    """Add heat gain (m,) J to elements: T by enthalpy, sigma_y by softening, heat by the part that makes pressure. Returns the sum
+    of this part, J."""
     total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:

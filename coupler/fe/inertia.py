@@ -1,13 +1,13 @@
-"""Selective mass scaling of the target: elements with the shortest steps resist changes of their shape with an added inertia.
+"""Selective mass scaling of the target: elements with the shortest time steps get an added inertia against changes of their shape.
 
-It leaves the masses of the nodes alone. The element e adds to the mass matrix
+The nodal masses m do not change. The element e adds to the mass matrix
 
     M = m 1 + sum_e mu_e (1 - 1 1^T / 4),   mu_e = (m_e / 4) ((T / t_e)^2 - 1)
 
-over its four nodes (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436): a translation has no part in it, so that
-linear momentum is that of the true masses; only what moves the nodes of one element against each other, its rotation
-included, is slower. An element with a step of its own t_e bears the step T with it. Accelerations follow from the nodes of the few
-scaled elements alone. What the added inertia takes from the forces' work is numerical dissipation in the ledger.
+over its four nodes (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436). Translations are not affected, so
+that linear momentum is conserved; relative motions of the nodes of one element, its rotation included, are slower. An element with
+its own step t_e is stable with the step T. Only the nodes of the few scaled elements need a linear system for their accelerations.
+The work that the added inertia takes from the forces is numerical dissipation in the ledger.
 """
 
 from dataclasses import dataclass, field
@@ -18,12 +18,13 @@ import numpy as np
 from ..core.records import Shape
 from .mesh import FiniteElements
 
-MOST = 150  # elements: the matrix of their nodes is inverted in each window
+MOST = 150  # elements: the matrix of their nodes is inverted in each chunk of steps
 
 
 @dataclass(eq=False)
 class InertiaState:
-    """most kg: mass that may be added; last (k,): nodes of the last step; taken (k,3) N: reduction of their forces in it."""
+    """State of an `ElementInertia`. last (k,): nodes of the scaled elements in the last step; taken (k,3) N: reduction of their
+    forces in it; most kg: limit of the added mass, the sum of ((T / t_e)^2 - 1) m_e; 0 for no scaling."""
 
     most: float = 0.0
     last: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")] = field(
@@ -33,10 +34,9 @@ class InertiaState:
 
 
 class ElementInertia(InertiaState):
-    """The scaled elements of one target in one window of steps; they are chosen before its first step.
+    """The scaled elements of one target; they are chosen before each chunk of steps.
 
-    most kg: mass that may be added to elements, sum of (T / t_e)^2 - 1 times m_e; 0 for none. factor (s,): (T / t_e)^2 of each of the
-    `elements` (s,), nodes (k,): theirs.
+    elements (s,); factor (s,): (T / t_e)^2 of each; nodes (k,): their free nodes.
     """
 
     def __init__(self) -> None:
@@ -48,8 +48,8 @@ class ElementInertia(InertiaState):
         self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are free
 
     def choose(self, t: FiniteElements, safe: np.ndarray, step: float) -> None:
-        """Choose elements so that each bears `step` s, as far as `most` allows. safe (e,): own steps s of the first e elements, which
-        become those that they bear."""
+        """Choose elements so that all are stable with `step` s, as far as `most` allows. safe (e,) s: own steps of the first e
+        elements; the steps of chosen elements are increased."""
         self.elements = self.elements[:0]
         if self.most > 0.0:
             short = np.flatnonzero(safe < step)
@@ -80,13 +80,13 @@ class ElementInertia(InertiaState):
         self._share = t.mass[self.nodes][:, None] * np.linalg.inv(M[np.ix_(free, free)])
 
     def slow(self, f: np.ndarray) -> None:
-        """Change the forces f (n,3) N into those that give the true masses the accelerations they have with the added inertia."""
+        """Replace the forces f (n,3) N by forces that give the nodal masses the accelerations with added inertia."""
         if len(self.nodes):
             f[self.nodes] = self._share @ f[self.nodes]
 
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
-        """`slow` the forces total (n,3) N of all that acts on the first n nodes, which move, at the end of a step of dt s. Returns what
-        it took from their work in the step, J, and from their sum, (3,) N: fixed nodes have it."""
+        """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns the
+        reduction of their work in the step, J, and of their sum, (3,) N, which acts on fixed nodes."""
         work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))
         before = total[self.nodes]
         moving = self.nodes < n
@@ -98,7 +98,7 @@ class ElementInertia(InertiaState):
         return 0.5 * dt * work, self.taken.sum(axis=0)
 
     def twice_kinetic(self, v: np.ndarray) -> float:
-        """v^T (M - m) v of velocities v (n,3) m/s, J."""
+        """Twice the kinetic energy of the added inertia, v^T (M - m) v, J. v (n,3) m/s."""
         if len(self.elements) == 0:
             return 0.0
         own = v[self._corners]
@@ -107,14 +107,16 @@ class ElementInertia(InertiaState):
 
 
 def step_for(mass: np.ndarray, safe: np.ndarray, most: float, enough: float) -> float:
-    """The step (s) to which elements of mass (m,) kg and own steps safe (m,) s can be brought by adding `most` kg, `enough` at most.
+    """The largest stable step (s), at most `enough`, of elements with an added mass of `most` kg. mass (m,) kg, safe (m,) s: masses
+    and own steps of the elements.
 
-    An element of mass m and step t bears the step T with the mass m (T / t)^2: T^2 sum m / t^2 - sum m = most, over those with t < T.
+    An element of mass m and step t is stable with the step T if its mass is m (T / t)^2. T follows from T^2 sum m / t^2 - sum m =
+    most, summed over elements with t < T.
     """
     if len(mass) == 0:
         return enough
     order = np.argsort(safe, kind="stable")
     mass, safe = mass[order], safe[order]
     reached = np.sqrt((most + np.cumsum(mass)) / np.cumsum(mass / safe**2))
-    fits = np.append(reached[:-1] <= safe[1:], True)  # no further element would have to be made heavier
+    fits = np.append(reached[:-1] <= safe[1:], True)  # no other element needs more mass
     return float(min(reached[np.argmax(fits)], enough))

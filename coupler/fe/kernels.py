@@ -1,9 +1,8 @@
 """Kernels of the explicit tetrahedral target: kinematics, averaged nodal pressure, stress, forces, time step.
 
-Each kernel works on a range [lo, hi) of elements or nodes and writes only its own rows, so that any split of the
-range over threads gives the same numbers to the last bit. The arrays are those of `fe.model`. The averaged
-nodal pressure is that of Bonet & Burton (1998): the volume ratio, and with it the pressure, is a nodal quantity; a
-tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from locking in isochoric flow.
+Each kernel works on a range [lo, hi) of elements or nodes and writes only its own rows: any division among threads gives the same
+numbers to the last bit. `fe.model` describes the arrays. Averaged nodal pressure (Bonet & Burton 1998): volume ratio and pressure
+are nodal quantities, and a tetrahedron uses the mean of its four nodes. This avoids locking of linear tetrahedra in isochoric flow.
 """
 
 from math import log, sqrt
@@ -26,7 +25,7 @@ SHAPE_STIFFNESS = 0.05
 
 @njit(cache=True, nogil=True)
 def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
-    """Current volume of each tetrahedron, m3; volume (m,) is written. Returns the smallest."""
+    """Write the current volume of each tetrahedron to volume (m,) m3. Returns the smallest."""
     smallest = 1e300
     for e in range(lo, hi):
         volume[e] = edge_cofactors(x[conn[e, 0]], x[conn[e, 1]], x[conn[e, 2]], x[conn[e, 3]])[9] / 6.0
@@ -38,9 +37,9 @@ def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
 def nodal_pressure(
     lo: int, hi: int, m: int, c: Cells, metals: Metals, nodes: Nodes, volume: Floats, heat: Floats
 ) -> None:
-    """Averaged nodal volume ratio J and the pressure p that goes with it, from the volumes (m,) m3 of the elements at n+1.
+    """Update the averaged nodal volume ratio J and the pressure p, from the volumes (m,) m3 of the elements at n+1.
 
-    heat (m,) J: what each element was given during the last step counts of the first m, the active ones: that of others waits.
+    heat (m,) J: heat of each element in the last step. Only heat of the first m elements, the active ones, makes pressure.
     """
     J, p, energy = nodes.J, nodes.p, nodes.energy
     for a in range(lo, hi):
@@ -59,12 +58,11 @@ def nodal_pressure(
 
 @njit(cache=True, nogil=True, inline="always")
 def shape_strain(J: float) -> float:
-    """ln(J / J_limit) of a tetrahedron outside [SHAPE_LIMIT, 1 / SHAPE_LIMIT], else 0: it must not collapse or blow up while the
-    nodes around it keep their volume.
+    """ln(J / J_limit) of a tetrahedron whose volume ratio J lies outside [SHAPE_LIMIT, 1 / SHAPE_LIMIT], else 0.
 
-    Averaged nodal pressure leaves single elements free to trade volume: in a fast crater some sink to a twentieth of
-    theirs and take the time step with them. psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) acts against that, with a small share of
-    the element's own bulk stiffness, as in Puso & Solberg (2006), but only where needed.
+    With averaged nodal pressure neighbouring elements can exchange volume: in a fast crater some shrink to a twentieth of their
+    volume and reduce the time step. The energy psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) resists this with a small share of the
+    element's own bulk stiffness, as in Puso & Solberg (2006), but only outside the limits.
     """
     return log(J / SHAPE_LIMIT) if J < SHAPE_LIMIT else log(J * SHAPE_LIMIT) if J * SHAPE_LIMIT > 1.0 else 0.0
 
@@ -75,14 +73,14 @@ def element_forces(
 ) -> Vector:
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
-    x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y.
-    fe receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T; heat that of the step which makes pressure.
-    viscosity: coefficients of the linear and the quadratic bulk viscosity. Returns the plastic work, the work of the bulk viscosity
-    and that heat, J.
+    x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to
+    sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; heat receives the heat of the step that makes
+    pressure. viscosity: coefficients of the linear and the quadratic bulk viscosity. Returns the plastic work, the work of the bulk
+    viscosity and the heat that makes pressure, J.
 
-    The laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
-    the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`), and only there
-    is arithmetic fast: what flows is the same to the last bit whichever effects its kernel leaves out.
+    The laws are records specialised for FLOW (`constitutive.specialised`), or plain records. Only the plastic flow depends on the
+    effects of the law: it is computed here, element by element, without fast arithmetic, so that its numbers are the same to the
+    last bit whichever effects the kernel omits. All else is computed block by block (`fe.blocks`).
     """
     laws, (b1, b2), heat = metals.laws, viscosity, a.heat
     plastic = warmth = viscous = 0.0
@@ -97,14 +95,14 @@ def element_forces(
         for i in range(min(BLOCK, hi - first)):
             e = first + i
             law = laws[metals.of_element[e]]
-            # radial return to the yield stress the last step left behind
+            # radial return to the yield stress of the last step
             sy = a.sigma_y[e]
             deps = 0.0
             flow = sy
             if b.q_squared[i] > sy * sy:
                 q_trial = sqrt(b.q_squared[i])
                 deps = (q_trial - sy) / (3.0 * law.G)
-                # the step's mean stress along the plastic flow: what makes stored and dissipated energy add up to the work done
+                # with the mean stress of the step along the plastic flow, stored and dissipated energy add up to the work
                 flow = 0.5 * (sy + 1.5 * b.along[i] / q_trial)
                 for k in range(6):
                     S[k, i] *= sy / q_trial
@@ -130,7 +128,7 @@ def element_forces(
                 loss = -qv * div[i] * dt * b.volume[i]
                 viscous += loss
                 b.pressure[i] += qv
-                if on(law.dissipation):  # the yield stress follows with the next plastic flow
+                if on(law.dissipation):  # the next plastic flow updates the yield stress
                     a.T[e] += law.dissipation * loss / (b.V0[i] * law.rho * heat_capacity(law, a.T[e]))
                     if on(law.expansion):
                         warm = law.expansion * law.dissipation * loss
@@ -143,7 +141,7 @@ def element_forces(
 
 @njit(cache=True, nogil=True)
 def gather_forces(lo: int, hi: int, c: Cells, fe: Floats, f: Floats) -> None:
-    """Sum the element forces fe (m,4,3) at each node: f (n,3) is overwritten for nodes [lo, hi)."""
+    """Write the sums of the element forces fe (m,4,3) at the nodes [lo, hi) to f (n,3)."""
     for a in range(lo, hi):
         f0 = f1 = f2 = 0.0
         for r in range(c.start[a], c.start[a + 1]):
@@ -159,11 +157,11 @@ def advance(
     team: Ints, active: Active, half_step: float, dt: float, viscosity: tuple[float, float], c: Cells, of_pressure: Metals, of_flow:
     Metals, nodes: Nodes, elements: Elements, smallest: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces where they are then,
-    in all threads. f_ext is set to zero.
+    """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces in the new
+    positions, in all threads. f_ext is set to zero.
 
-    The metals: with laws as the kernels of pressure and of flow take them. smallest (PARTS,) m3: volumes, sums (PARTS,3): those of
-    `element_forces`, part by part; both are written.
+    of_pressure, of_flow: metals with laws specialised for the two kernels. Written part by part: smallest (PARTS,) m3, the smallest
+    volume, and sums (PARTS,3), the results of `element_forces`.
     """
     n, m = active.nodes, active.elements
     for lo, hi, _ in ranges(team, 0, len(nodes.x), LEAST_NODES):
@@ -182,10 +180,10 @@ def advance(
 
 @njit(cache=True, nogil=True)
 def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Metals, dt_of: Floats) -> None:
-    """Bound on the stable time step of each element, s, into dt_of (m,): 0 where it is inverted or no number.
+    """Write a lower bound on the stable time step of each element to dt_of (m,) s; 0 for an inverted or undefined element.
 
-    omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b: the
-    element's largest eigenvalue bounds the mesh's. K stiffens with compression.
+    omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b. The largest eigenvalue
+    of an element is a bound for the mesh. K increases with compression.
     """
     for e in range(lo, hi):
         n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
@@ -208,7 +206,7 @@ def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Met
 
 @njit(cache=True, nogil=True)
 def elastic_shear_energy(lo: int, hi: int, V0: Floats, metals: Metals, volume: Floats, s: Floats) -> float:
-    """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_strain`, in J."""
+    """Elastic energy of the elements, J: sum of v s:s / 4G over the current volumes, and energy of `shape_strain`."""
     total = 0.0
     for e in range(lo, hi):
         law = metals.laws[metals.of_element[e]]

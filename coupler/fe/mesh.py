@@ -1,4 +1,4 @@
-"""The mesh of the target with what the solver takes from scikit-fem."""
+"""The mesh of the target, with gradients, volumes and facets from scikit-fem."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol
@@ -16,12 +16,12 @@ from .state import Balance, ElementState, NodeState
 
 @dataclass(frozen=True)
 class TetMesh:
-    """Mesh data of the explicit solver, numbered outwards from the point of impact.
+    """Mesh of the explicit solver, numbered outwards from the point of impact.
 
-    points (n,3) m; conn (m,4); B (m,3,3) reference gradients of nodes 1 to 3; V0 (m,) m3; node_volume (n,) m3, the
-    lumped share of each node; facets (k,3) boundary triangles, normals outwards; facet_element (k,); sets: facet
-    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, or of the inner face of the shell of
-    `assemble.merge`, m, ascending. axis (2,): x, y (m) of the axis from which a half-space round the target is reckoned.
+    points (n,3) m; conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) m3: reference volumes;
+    node_volume (n,) m3: lumped volumes; facets (k,3): boundary triangles, normals outwards; facet_element (k,): element behind
+    each; sets: facet numbers by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, or of the inner
+    face of the shell (`target.domain.merge`), ascending; axis (2,) m: x and y of the axis of a half-space round the target.
     """
 
     points: Annotated[np.ndarray, Shape(-1, 3)]
@@ -38,7 +38,7 @@ class TetMesh:
 
 
 class FiniteElements(Protocol):
-    """The interface of a target for its parts; `fe.explicit.Target` describes each array."""
+    """Attributes of `fe.explicit.Target` that its parts use; described there."""
 
     mesh: TetMesh
     laws: np.ndarray
@@ -56,17 +56,15 @@ class FiniteElements(Protocol):
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:
-    """Number a mesh outwards from `origin` (m) and take gradients, volumes, masses and facets from scikit-fem.
-
-    Raises SolverError for an inverted or empty tetrahedron.
-    """
+    """The mesh of tetrahedra, numbered outwards from `origin` (m). points (n,3) m; tets (m,4). Raises SolverError for an empty
+    tetrahedron."""
     return prepare_ordered(points, tets, origin)[0]
 
 
 def prepare_ordered(
     points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> tuple[TetMesh, np.ndarray, np.ndarray]:
-    """`prepare`, and which of the points (n,) and tetrahedra (m,) given each node and element is."""
+    """`prepare`. Also returns the number of each node (n,) among `points`, and of each element (m,) among `tets`."""
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
     order = np.argsort(distance, kind="stable")
     rank = np.argsort(order)
@@ -104,19 +102,20 @@ def prepare_ordered(
 
 
 def around(conn: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """start (n+1,), table (4m,) of `Cells`: the elements (m,4) around each of n nodes in their order: sums have one order."""
+    """start (n+1,) and table (4m,) of `Cells` for elements (m,4) of n nodes. Elements around a node are ascending: sums have one
+    order."""
     flat, start = conn.ravel(), np.zeros(n + 1, np.int64)
     np.cumsum(np.bincount(flat, minlength=n), out=start[1:])
     return start, np.argsort(flat, kind="stable").astype(np.int32)
 
 
 def cells_of(mesh: TetMesh) -> Cells:
-    """A mesh as kernels take it."""
+    """The arrays of a mesh as arguments of kernels."""
     return Cells(mesh.conn, mesh.B, mesh.V0, mesh.node_volume, *around(mesh.conn, len(mesh.points)))
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets of a cylinder or box by where they look: top (upwards), bottom (downwards), sides (the rest)."""
+    """Facets of a cylinder or box by their normals: top (upwards), bottom (downwards), sides (all others)."""
     normal = area_vectors(points, corners)
     steep = normal[:, 2] / np.linalg.norm(normal, axis=1)
     top, bottom = steep > 0.5, steep < -0.5
@@ -124,10 +123,10 @@ def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]
 
 
 def inverted(t: FiniteElements) -> str:
-    """Error message about the most inverted element of a target."""
+    """Error message about the element of a target with the most negative volume."""
     e = int(np.argmin(t.elements.volume[: t.active_elements]))
     x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
-    body = int(t.law_of[e])  # each has a law of its own; those after the first are splats
+    body = int(t.law_of[e])  # each body has its own law; bodies after the first are splats
     within = f", in splat{body}," if body else ""
     remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"
     return (

@@ -1,6 +1,6 @@
-"""The arrays of a target of n nodes and m elements, as its kernels take them. SI units.
+"""Arrays of a target of n nodes and m elements, as arguments of its kernels. SI units.
 
-Voigt order everywhere: xx yy zz yz xz xy. Nodes and elements are numbered outwards: those that are computed come first.
+Voigt order everywhere: xx yy zz yz xz xy. Nodes and elements are numbered outwards: active ones come first.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class Cells(NamedTuple):
 
 
 class Metals(NamedTuple):
-    """LAW records, and which of them elements (m,) and nodes (n,) follow."""
+    """LAW records, and the number of the record of each element (m,) and node (n,)."""
 
     laws: Laws
     of_element: Ints
@@ -38,8 +38,8 @@ class Active(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """(n,3): x m, v m/s, internal forces f, external f_ext and all forces total N; (n,): inv_mass 1/kg, volume ratio J, p Pa, energy J
-    per reference m3."""
+    """Arrays (n,3): x m, v m/s, internal forces f, external forces f_ext, sum of all forces total, N. Arrays (n,): inv_mass 1/kg,
+    volume ratio J, p Pa, energy J per reference m3."""
 
     x: Floats
     v: Floats
@@ -53,13 +53,13 @@ class Nodes(NamedTuple):
 
     @classmethod
     def of(cls, n: NodeState, f_ext: Floats, inv_mass: Floats) -> "Nodes":
-        """The arrays of a node state, with these forces and masses."""
+        """The arrays of a node state, with external forces and inverse masses."""
         return cls(n.x, n.v, n.f, f_ext, n.total, inv_mass, n.J, n.p, n.energy)
 
 
 class Elements(NamedTuple):
-    """(m,): volume m3, sigma_y Pa, eps_p, rate 1/s, T K, heat J; s (m,6) Pa: Cauchy deviator; fe (m,4,3) N: forces on the corners;
-    eps_gradient (m,3) 1/m."""
+    """Arrays (m,): volume m3, sigma_y Pa, eps_p, rate 1/s, T K, heat J. s (m,6) Pa: Cauchy deviator; fe (m,4,3) N: forces on the
+    corners; eps_gradient (m,3) 1/m."""
 
     volume: Floats
     s: Floats

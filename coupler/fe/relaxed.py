@@ -1,4 +1,4 @@
-"""Steps of a target towards equilibrium, with masses and fixed nodes of their own."""
+"""Quasi-static steps of a target towards equilibrium, with their own masses and fixed nodes."""
 
 import numpy as np
 
@@ -9,15 +9,16 @@ from .window import outside
 
 
 class Relaxation:
-    """Quasi-static steps of a target at rest, or of a part of it: nothing of what depends on velocities acts, no bulk viscosity, no
-    absorbing faces, no conduction; masses, fixed nodes and steps of the target's own motion stay.
+    """Quasi-static steps of a target at rest, or of a part of it, without bulk viscosity, absorbing faces and conduction. Masses,
+    fixed nodes and time steps of the target itself do not change.
 
-    fixed (k,): nodes that do not move, those of the target and those at the edge of the part; free (n,) bool: the others. mass (n,) kg
-    of the nodes, inv_mass (n,) 1/kg, 0 of fixed ones; dt: last step, s; see `weigh`.
+    fixed (k,): fixed nodes of the target and nodes at the edge of the part; free (n,) bool: all others; mass (n,) kg, inv_mass (n,)
+    1/kg: of the nodes, inv_mass is 0 for fixed nodes; dt s: time step, see `weigh`.
     """
 
     def __init__(self, target: Target, radius: float, dt: float):
-        """radius: m from where the numbering begins; what is beyond keeps still, its pending heat becomes pressure in dt s."""
+        """radius m: distance from the start of the numbering up to which nodes can move. Pending heat of elements beyond it becomes
+        pressure in a step of dt s."""
         t = self.target = target
         t.activate_all()
         m = int(np.searchsorted(t.mesh.reach_element, radius))
@@ -34,8 +35,8 @@ class Relaxation:
         self._invert()
 
     def weigh(self, highest: HighestFrequency, dt: float) -> None:
-        """Give the nodes the masses with which the elements bear a step of dt s by their own bound. The step is then the one that they
-        really bear, which is longer (`fe.stability`)."""
+        """Set the masses with which the safe bound of all elements is dt s. The time step becomes the limit of the whole mesh with
+        these masses, which is longer (`fe.stability`)."""
         self.mass = masses_for(self.target, dt)
         self._invert()
         t = self.target
@@ -52,14 +53,14 @@ class Relaxation:
         self._damped = self.inv_mass.copy()
 
     def advance(self, damping: float) -> None:
-        """`Target.advance`. damping: over the critical one of the step, by which the forces are divided."""
+        """Make one step, as `Target.advance`. damping: ratio to the critical damping of the step; forces are divided by 1 + damping."""
         t, n = self.target, self.target.active_nodes
         t.balance.impulse += self.dt * t.support
         np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])
         t.move(n, self.dt, self.dt, self._damped)
 
     def finish(self) -> None:
-        """`Target.finish`."""
+        """Complete the step, as `Target.finish`."""
         t = self.target
         t.add_up(self.dt)
         t.pull()
@@ -69,8 +70,7 @@ class Relaxation:
     def rest(self) -> None:
         """Set all velocities to zero."""
         t = self.target
-        t.balance.impulse = (
-            t.balance.impulse + 0.5 * self.dt * t.support - self.mass @ t.nodes.v
-        )  # what stopped it came from outside
+        stopped = self.mass @ t.nodes.v  # by an external impulse
+        t.balance.impulse = t.balance.impulse + 0.5 * self.dt * t.support - stopped
         t.nodes.v[:], t.support = 0.0, np.zeros(3)
         t.rest()

@@ -1,10 +1,9 @@
-"""How long a step the whole target can take: its highest frequency by power iteration.
+"""Stable time step of the whole target: its highest frequency by power iteration.
 
-The element bound of `kernels.stable_dt` is safe but pays for a stiffness that averaged nodal pressure does not have: the volumetric
-modes of single elements are soft, and the true limit is 1.5 to 3 times longer. A few power iterations with the linearised
-operator find it. They start from the last vector, to which a random motion of the elements with the smallest bound is added. A mode
-that becomes the fastest within ten steps can be missed, so that a safety factor is applied, and three times the element bound is the
-longest step.
+The element bound of `kernels.stable_dt` is safe, but too short: with averaged nodal pressure the volumetric modes of single
+elements are soft, and the true limit is 1.5 to 3 times longer. A few power iterations with the linearised operator find it. They
+start from the last vector plus a random motion of the elements with the smallest bounds. A mode that becomes the fastest within ten
+steps can be missed: therefore a safety factor is applied, and the step is at most three times the element bound.
 """
 
 from dataclasses import dataclass
@@ -16,9 +15,8 @@ from ..compiling import njit
 from ..core import safety
 from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
-from ..core.records import Shape, copied, put
+from ..core.records import Shape, copied, put, unfit
 from ..core.threads import share, together
-from ..errors import CheckpointError
 from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness
 from .blocks import edge_cofactors
@@ -31,8 +29,8 @@ PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are 
 
 
 class Response(NamedTuple):
-    """A small motion w (n,3) of the nodes, and what the operator makes of it: change dv (m,) of volumes and dp (n,) of mean stresses,
-    forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of the motion."""
+    """A small motion w (n,3) of the nodes, and the response of the operator: change dv (m,) of volumes, change dp (n,) of mean
+    stresses, forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of motion."""
 
     w: Floats
     dv: Floats
@@ -43,7 +41,7 @@ class Response(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _volume_change(lo: int, hi: int, x: Floats, c: Cells, r: Response) -> None:
-    """Change of each element's volume, into dv."""
+    """Write the change of each element's volume to r.dv."""
     w = r.w
     for e in range(lo, hi):
         n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
@@ -56,7 +54,7 @@ def _volume_change(lo: int, hi: int, x: Floats, c: Cells, r: Response) -> None:
 
 @njit(cache=True, nogil=True)
 def _nodal_stiffening(lo: int, hi: int, J: Floats, c: Cells, metals: Metals, r: Response) -> None:
-    """Change of mean stress at each node, K dJ, into dp."""
+    """Write the change of mean stress at each node, K dJ, to r.dp."""
     for a in range(lo, hi):
         total = 0.0
         for q in range(c.start[a], c.start[a + 1]):
@@ -66,7 +64,7 @@ def _nodal_stiffening(lo: int, hi: int, J: Floats, c: Cells, metals: Metals, r: 
 
 @njit(cache=True, nogil=True)
 def _forces(lo: int, hi: int, x: Floats, c: Cells, metals: Metals, r: Response) -> None:
-    """Elastic forces of the motion, element by element, into fe."""
+    """Write the elastic forces of the motion, element by element, to r.fe."""
     w, dp, fe = r.w, r.dp, r.fe
     for e in range(lo, hi):
         n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
@@ -103,7 +101,7 @@ def _forces(lo: int, hi: int, x: Floats, c: Cells, metals: Metals, r: Response) 
 
 @njit(cache=True, nogil=True)
 def _resist(team: Ints, n: int, m: int, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response) -> None:
-    """The kernels above, one after the other, for the first n nodes and m elements in all threads."""
+    """All kernels above, in their order, for the first n nodes and m elements, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST_ELEMENTS):
         _volume_change(lo, hi, x, c, r)
     for lo, hi, _ in ranges(team, 1, n, LEAST_NODES):
@@ -115,8 +113,8 @@ def _resist(team: Ints, n: int, m: int, x: Floats, J: Floats, c: Cells, metals: 
 
 
 def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
-    """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
-    together, each of them times (dt / its own step)^2."""
+    """Masses (n,) kg of the nodes with which the bound of every element is dt (s): the mass of each element is multiplied by
+    (dt / its own step)^2."""
     conn = t.mesh.conn
     share(lambda lo, hi: stable_dt(lo, hi, t.nodes.x, t.nodes.J, t.cells, t.metals, t.dt_of), len(conn), LEAST_ELEMENTS)
     mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
@@ -125,8 +123,8 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
 
 @dataclass(eq=False)
 class FrequencyState:
-    """w (n,3): the vector of the power iteration; random: state of the generator; warm: whether w has been iterated; known: how many
-    nodes have had a part in it."""
+    """State of the power iteration. w (n,3): its vector; random: state of the generator; warm: whether w has been iterated; known:
+    number of nodes that have taken part."""
 
     w: Annotated[np.ndarray, Shape(-1, 3)]
     random: dict[str, object]
@@ -135,8 +133,8 @@ class FrequencyState:
 
 
 class Springs(Protocol):
-    """Springs between nodes. load(size): the row sums (size,) of their stiffness, N/m; resist(w, f, active): adds its product with
-    the motion w (n,3), of which the first `active` rows are not zero, to f (n,3)."""
+    """Springs between nodes. load(size): row sums (size,) N/m of their stiffness matrix; resist(w, f, active): add the product of
+    the matrix and the motion w (n,3) to f (n,3); only the first `active` rows of w are not zero."""
 
     def load(self, size: int) -> np.ndarray: ...
 
@@ -144,55 +142,51 @@ class Springs(Protocol):
 
 
 class HighestFrequency(FrequencyState):
-    """Power iteration on one target; keeps its vector between calls."""
+    """Power iteration on one target. It keeps its vector between calls."""
 
     def __init__(self, nodes: int, elements: int):
         self._random = np.random.default_rng(1)
         super().__init__(np.zeros((nodes, 3)), dict(self._random.bit_generator.state))
         dp, f = np.zeros(nodes), np.zeros((nodes, 3))
         self._r = Response(self.w, np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
-        self._elements = 0  # those of the last call
+        self._elements = 0  # number of elements in the last call
 
     def state(self) -> FrequencyState:
-        """The vector as it is, and the random numbers to come."""
+        """The vector, and the state of the random generator."""
         self.random = dict(self._random.bit_generator.state)
         return copied(self)
 
     def restore(self, state: FrequencyState) -> None:
-        """Put a `state` into the iteration of the same target. Raises CheckpointError where it does not fit."""
+        """Restore a `state` of the same target. Raises CheckpointError where it does not fit."""
         put(state, self)
         if not 0 <= self.known <= len(self.w):
-            raise CheckpointError(
-                "the checkpoint does not fit: the vector of the highest frequency has another length;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("the vector of the highest frequency has another length")
         try:
             self._random.bit_generator.state = self.random
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise CheckpointError(
-                "the checkpoint does not fit: its random numbers are not valid; start again with coldspray run --force"
-            ) from error
+            raise unfit("its random numbers are not valid") from error
 
     def longest_step(
         self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None,
         inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> float:  # fmt: skip
-        """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
+        """Stable time step (s), without damping, of the first n nodes and m elements of a `Target`. bound s: safe bound of the
+        elements, with springs and inertia.
 
-        springs: between nodes; inertia: of scaled elements; both are in the bound too. masses: of the nodes (n,) kg and their inverses,
-        0 of fixed nodes, in place of the target's.
+        springs: between nodes; inertia: of scaled elements; masses: masses (n,) kg of the nodes and their inverses, 0 for fixed
+        nodes, in place of the masses of the target.
         """
         mesh, inertia = t.mesh, inertia or ElementInertia()
         mass, inverse = masses or (t.mass, t.inv_mass)
         w, f = self._r.w[:n], self._r.f
-        for of_element in (self._r.dv, self._r.fe):  # those that are no longer active have no part in it
+        for of_element in (self._r.dv, self._r.fe):  # elements that have become inactive do not take part
             of_element[m : self._elements] = 0.0
         self._elements = m
         size = float(np.sqrt(np.mean(w * w))) if self.warm else 0.0
         if not self.warm:
             w[:] = self._random.standard_normal((n, 3))
             size = 1.0
-        elif n > self.known:  # nodes that have become active since may have the fastest mode
+        elif n > self.known:  # nodes that have become active since the last call can have the fastest mode
             w[self.known : n] = size * self._random.standard_normal((n - self.known, 3))
         self.known = max(self.known, n)
         worst = np.argpartition(t.dt_of[:m], min(PERTURBED_ELEMENTS, m - 1))[:PERTURBED_ELEMENTS]

@@ -1,4 +1,4 @@
-"""The state of the target as records: a further field here is stored, restored, renumbered and joined."""
+"""The state of the target as records: each field is stored, restored, renumbered and joined without further code."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -11,9 +11,8 @@ from ..physics.metal import MetalState
 
 @dataclass(frozen=True)
 class NodeState:
-    """State of n nodes: x m, v m/s half a step before, f and f_old internal forces of this and the last step N, total N: with all other
-    forces; J: volume ratio, p Pa, energy J per reference m3; node_number: in the full
-    domain of a sub-domain, -1 of new nodes."""
+    """State of n nodes. x m; v m/s: half a step before x; f, f_old N: internal forces of this and the last step; total N: sum of all
+    forces; J: volume ratio; p Pa; energy J per reference m3; node_number: in the full domain of a sub-domain, -1 for new nodes."""
 
     x: Annotated[np.ndarray, Rows(3)]
     v: Annotated[np.ndarray, Rows(3)]
@@ -28,9 +27,9 @@ class NodeState:
 
 @dataclass(frozen=True)
 class ElementState(MetalState):
-    """State of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; rate 1/s, of eps_p; heat J, for the nodes in the
-    next step; volume m3; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that changes of
-    temperature at rest have made; element_number: as node_number."""
+    """State of m elements. s Pa: Cauchy deviator, Voigt order xx yy zz yz xz xy; rate 1/s: of eps_p; heat J: for the nodes in the
+    next step; volume m3; sigma_y Pa; fe N: forces on the corners; element_number: as node_number; thermal_stress Pa, Voigt: part of
+    the stress caused by changes of temperature at rest."""
 
     s: Annotated[np.ndarray, Rows(6)]
     rate: Annotated[np.ndarray, Rows()]
@@ -44,9 +43,9 @@ class ElementState(MetalState):
 
 @dataclass
 class Balance(Sums):
-    """Energy balance of a target, J, from its start: plastic work; numerical dissipation, the work of the bulk viscosity with what the
-    inertia of scaled elements has taken; heat put into the nodes' energy; internal work; energy absorbed at boundaries. impulse (3,)
-    N s: from outside; time s."""
+    """Energy balance of a target since its start, J. plastic: plastic work; numerical: work of the bulk viscosity and of the
+    inertia of scaled elements; heat: part of the heat that makes pressure; internal_work; absorbed: energy absorbed at boundaries.
+    impulse (3,) N s: external impulse; time s."""
 
     plastic: float = 0.0
     numerical: float = 0.0

@@ -1,4 +1,4 @@
-"""The domains of one impact, built from the plan: target, particle, and what acts between them."""
+"""The domains of one impact, built from the plan: target, particle, and the contact and heat flow between them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,10 +27,10 @@ from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
 from ..target.bodies import Bodies, BodiesState
 from ..target.positions import level_under
-from .folding import Folding, folding
+from .folding import SHAPES, Folding
 from .heat import HeatPaths
 
-MESHING_LIMIT = 600.0  # s, of gmsh for the substrate
+MESHING_LIMIT = 600.0  # s, time limit of gmsh for the substrate
 SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
 
 
@@ -38,9 +38,9 @@ SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing o
 class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
-    particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's outer one, carried by
-    its points; level: height (m) of the surface where the particle first touches it; paths: where heat flows between chunks of steps;
-    folding: contact of the particle with itself.
+    particle: its points on all ranks; bodies: substrate and splats; surface: outer surface of the particle, carried by its points;
+    level: height (m) of the target's surface where the particle first touches it; paths: heat flow between chunks of steps;
+    folding: self-contact of the particle, None without.
     """
 
     particle: DistributedParticle
@@ -57,12 +57,12 @@ class Domains:
 
     @property
     def whole_surface(self) -> CarriedSurface:
-        """The particle's surface with those of its cavities."""
+        """The surface of the particle, including its cavities."""
         return self.surface if self.folding is None else self.folding.surface
 
 
 def build_target(plan: Plan) -> Bodies:
-    """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
+    """The meshed substrate, which is the target of the first impact. Starts gmsh."""
     t = plan.target
     sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
     points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread), MESHING_LIMIT)
@@ -79,7 +79,7 @@ def build_target(plan: Plan) -> Bodies:
 
 
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
-    """The bodies of a stored state."""
+    """The bodies of a stored state. Raises CheckpointError where its parts do not fit each other."""
     return Bodies.from_state(
         state, plan.target.faces("fixed"), plan.target.faces("absorbing"), plan.friction, plan.effects.conduction
     )
@@ -94,10 +94,10 @@ def build_domains(
     ranks: parallel.Ranks | None = None,
     level: float | None = None,
 ) -> Domains:
-    """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
+    """The particle of impact i above the bodies (default: the bare substrate), with contact between them. Starts LAMMPS.
 
-    log_file: LAMMPS's log. numerics: values in place of the defaults of `particle.particle.Numerics`. ranks:
-    default this process alone. level: height (m) of the surface where the particle first touches it; None: as the bodies lie.
+    log_file: of LAMMPS; numerics: values in place of the defaults of `particle.particle.Numerics`; ranks: default this process
+    alone; level: height (m) of the surface where the particle first touches it, default: from the positions of the bodies.
     """
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
     impact_plan, t = plan.impacts[i], plan.target
@@ -106,8 +106,9 @@ def build_domains(
     facets = bodies.reachable()
     offset = np.array([*impact_plan.offset, 0.0])
     if level is None:
-        under = 0.0 if bodies.is_flat else level_under(body.vertices + offset, x, mesh.facets[facets])
-        level = under - body.half_height if not bodies.is_flat else 0.0
+        level = 0.0
+        if not bodies.is_flat:
+            level = level_under(body.vertices + offset, x, mesh.facets[facets]) - body.half_height
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
     parallel.begin_impact(ranks, i, place, numerics or {})
     local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
@@ -117,12 +118,12 @@ def build_domains(
     k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
     points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
     own, other = impact_plan.material.effusivity(impact_plan.temperature), t.material.effusivity(t.temperature)
-    share = own / (own + other)  # of the heat of friction, as for two half-spaces in contact
+    share = own / (own + other)  # share of the heat of friction, as for two half-spaces in contact
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
     on, inside = plan.effects, None
     if on.particle_conduction:
         inside = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    itself = folding(impact_plan, body, surface, place, k, plan.friction)
+    itself = Folding(body, surface, place, k, plan.friction) if impact_plan.shape in SHAPES else None
     paths = HeatPaths(
         particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
     )
@@ -130,7 +131,7 @@ def build_domains(
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:
-    """Points and surface of the particle of impact i, about its centre."""
+    """Points and surface of the particle of impact i, around its centre."""
     p = plan.impacts[i]
     if p.file:
         points, triangles = map(np.array, vars(plan.solids[p.file]).values())
@@ -147,9 +148,9 @@ def build_particle(
     log_file: Path | None,
     body: shapes.Body | None = None,
 ) -> Particle:
-    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it.
+    """The part of the particle of impact i on this rank. Starts LAMMPS, on all ranks that share the particle.
 
-    body: as of `body_of`, which is called without it.
+    place (3,) m: centre; body: result of `body_of`, computed by default; others: as in `build_domains`.
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
     law = law_record(p.material, plan.effects.switches, p.rate_filter)

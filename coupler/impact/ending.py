@@ -1,28 +1,30 @@
-"""When an impact is over: at rest, at its greatest deformation, or at a given time."""
+"""End of an impact: at rest, at its greatest deformation, or at a given time."""
 
 import math
 from dataclasses import dataclass
 from typing import Literal
 
 Grip = Literal["free", "failing", "held", "secure"]
-STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
-QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
-QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
-# A bonded particle swings on its bonds: it is at rest when it has swung more slowly than this part of the impact speed ...
-HELD_STILL = 0.02
-HELD_TIME = 0.5  # ... for this part of D / v, about a period
-SPENT = 0.01  # of the impact's energy: a tied particle that would dissipate less in the next D / v rests
-# of the impact speed: a particle that touches nothing and sinks more slowly has less than 5 % of its energy to land with
+STILL = 0.005  # of the impact speed: a particle on earlier splats with a smaller downward speed is at rest
+QUIET_FORCE = 0.02  # of the peak contact force: below it the contact is silent
+QUIET_TIME = 0.1  # of D / v: time of silence at the end
+# A bonded particle oscillates: it is at rest after its speed has been below HELD_STILL of the impact speed for HELD_TIME of D / v,
+# about one period.
+HELD_STILL, HELD_TIME = 0.02, 0.5
+SPENT = 0.01  # of the energy of the impact: a tied particle is at rest if it would dissipate less than this in the next D / v
+# of the impact speed: a particle without contact and with a smaller downward speed has less than 5 % of its energy left to land
 GLANCING = math.sqrt(0.05)
 
 
 @dataclass
 class EndState:
-    """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
-    contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
-    HELD_STILL of its impact speed with energy that its bonds may not stop; above: last time (s) at which its centre was above the
-    target, not beyond the rim; risen: whether it has moved off after the greatest deformation; arrested: whether its bonds have then
-    stopped it; time, work: last observed, s and J; power: mean of what is dissipated, W; at, end_time: of `EndCriterion`."""
+    """State of an `EndCriterion`. at: "rest", "greatest" or "time"; end_time s: time limit.
+
+    peak N: largest contact force so far; turned s: time of the greatest deformation, None before it; loud s: last time with a
+    contact force above QUIET_FORCE of the peak; fast s: last time at which the particle was not bonded, or was faster than
+    HELD_STILL of its impact speed with an energy that its bonds may not absorb; above s: last time at which its centre was above
+    the target, not beyond the rim; risen: it has moved upwards after the greatest deformation; arrested: its bonds have stopped it
+    after that; time s, work J: last observed; power W: mean dissipation."""
 
     at: str
     end_time: float
@@ -39,101 +41,96 @@ class EndState:
     power: float = 0.0
 
 
-class EndCriterion:
+class EndCriterion(EndState):
     """Decides when an impact has reached its greatest deformation and when it is over.
 
-    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`, or than GLANCING of the impact speed
-    with a contact that has been silent for `held_quiet` s: it has glanced off the flank of a splat. Over: at "rest", the contact force
-    has then stayed below QUIET_FORCE of its peak for `quiet` seconds (the particle has left, or rests); at "greatest", at once; at
-    "time", and in any case, at end_time. A particle that has slid over the rim of the target has left it: no criterion is met.
+    Greatest deformation: the centre of mass stops sinking; or its downward speed falls below `slow`; or it falls below GLANCING of
+    the impact speed and the contact has been silent for `held_quiet` s (the particle has glanced off the flank of a splat). End at
+    "rest": after that, see `settled`; at "greatest": at once; at "time": at end_time, which is also the limit of the others. A
+    particle that has slid over the rim of the target has left it: no criterion is met.
     """
 
     def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0, energy: float = 0.0):
-        """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"; energy:
-        of the impact, J, where its particle is tied to what it lies on at the end; 0 of others."""
+        """end_time, at: as in `EndState`; crossing s: D / v; speed m/s: of the impact; slow m/s; energy J: of the impact, if the
+        scene ties its particle to the target; 0 for others."""
+        super().__init__(at, end_time)
         self.slow = slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self.glancing, self.spent = GLANCING * speed, SPENT * energy / crossing
-        self.seen = EndState(at, end_time)
 
     def observe(
-        self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True, work: float = 0.0
+        self, time: float, sinking: float, force: float, grip: Grip = "free", is_above: bool = True, work: float = 0.0
     ) -> None:
-        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; grip: of its
-        bonds: "free" (none that count), "failing" (they may part), "held", "secure" (they take up far more than there is left); above:
-        whether its centre is above the target; work: dissipated so far, J."""
-        s = self.seen
-        if s.time > 0.0:  # the mean over about `quiet` s
-            share = -math.expm1((s.time - time) / self.quiet)
-            s.power = (1.0 - share) * s.power + share * (work - s.work) / (time - s.time)
-        s.peak, s.time, s.work = max(s.peak, force), time, work
-        is_loud = abs(force) > QUIET_FORCE * s.peak
-        glanced_off = time - s.loud > self.held_quiet and not is_loud and sinking <= self.glancing
-        if s.turned is None and s.peak > 0.0 and (sinking <= self.slow or glanced_off):
-            s.turned = time
-        s.risen |= s.turned is not None and sinking < 0.0
-        s.arrested |= s.risen and sinking >= 0.0 and grip in ("held", "secure")
-        # energy of waves and of rotation may still part bonds
-        is_tearing = grip == "failing" or (grip != "free" and s.risen)
+        """Record the state at `time` s. sinking m/s: downward speed of the centre of mass; force N: on the particle, upwards; grip:
+        of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can absorb far more than the
+        energy left); is_above: its centre is above the target; work J: dissipated so far."""
+        if self.time > 0.0:  # mean over about `quiet` s
+            share = -math.expm1((self.time - time) / self.quiet)
+            self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
+        self.peak, self.time, self.work = max(self.peak, force), time, work
+        is_loud = abs(force) > QUIET_FORCE * self.peak
+        glanced_off = time - self.loud > self.held_quiet and not is_loud and sinking <= self.glancing
+        if self.turned is None and self.touched and (sinking <= self.slow or glanced_off):
+            self.turned = time
+        self.risen |= self.turned is not None and sinking < 0.0
+        self.arrested |= self.risen and sinking >= 0.0 and grip in ("held", "secure")
+        # energy of waves and of rotation can still break bonds
+        is_tearing = grip == "failing" or (grip != "free" and self.risen)
         if grip == "free" or is_tearing or (grip == "held" and abs(sinking) > self.held_slow):
-            s.fast = time
-        if above:
-            s.above = time
+            self.fast = time
+        if is_above:
+            self.above = time
         if is_tearing or is_loud:
-            s.loud = time
-
-    @property
-    def turned(self) -> float | None:
-        """Time of the greatest deformation, s; None before it."""
-        return self.seen.turned
+            self.loud = time
 
     def reached(self, time: float) -> bool:
-        """Whether the impact is over at `time` s, the time last observed: its criterion is met, or its time limit has come."""
-        return self.met(time) or self.at_limit(time) or (self.seen.at != "time" and self.slid_off(time))
+        """Whether the impact is over at `time` s, the time last observed: by its criterion, its time limit, or the rim of the
+        target."""
+        return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
         """Whether the criterion itself is met at `time` s."""
-        return {"rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)}[
-            self.seen.at
-        ]
+        if self.at == "time":
+            return self.at_limit(time)
+        return self.settled(time) if self.at == "rest" else self.turned is not None
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, bonds have
-        stopped its rebound, a bonded particle has moved little for `held_quiet` s, or one to be tied hardly deforms any more."""
-        s = self.seen
-        is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet
-        return s.turned is not None and (s.arrested or is_quiet or s.power < self.spent)
+        """Whether the particle has left, or is at rest, after the greatest deformation: its contact has been silent for `quiet` s,
+        bonds have stopped its rebound, a bonded particle has been slow for `held_quiet` s, or a tied particle hardly deforms any
+        more."""
+        is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
+        return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 
     def slid_off(self, time: float) -> bool:
-        """Whether the particle has left over the rim of the target: beyond it the contact has been silent for `quiet` s."""
-        return self.touched and time - max(self.seen.above, self.seen.loud) > self.quiet
+        """Whether the particle has left over the rim of the target: its contact has been silent for `quiet` s beyond the rim."""
+        return self.touched and time - max(self.above, self.loud) > self.quiet
 
     def at_limit(self, time: float) -> bool:
-        """Whether the time limit has come at `time` s."""
-        return time >= self.seen.end_time * (1 - 1e-12)
+        """Whether `time` s is at or after the time limit."""
+        return time >= self.end_time * (1 - 1e-12)
 
     @property
     def touched(self) -> bool:
         """Whether there has been any contact force."""
-        return self.seen.peak > 0.0
+        return self.peak > 0.0
 
     def undecided(self, time: float, sinking: float) -> str | None:
-        """Why the impact ended at `time` s without its criterion; None where it is met. sinking: m/s."""
+        """Reason why the impact ended at `time` s without meeting its criterion, None if it is met. sinking m/s."""
         if self.met(time):
             return None
-        aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.seen.at]
+        aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]
         if self.slid_off(time):
             return f"not {aim} when it slid over the rim of the target: increase substrate.diameter"
         motion = f"sinks at {sinking:.3g} m/s" if sinking > 0.0 else f"rises at {-sinking:.3g} m/s"
-        return f"not {aim} at its time limit of {self.seen.end_time * 1e9:.4g} ns: the particle {motion}"
+        return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
         """Continue an impact that has ended at `time` s until `until` s. Without `until`, an impact that has not met its criterion
         continues for the same time again, and one that has met it is over: its run was stopped later."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
-                self.seen.end_time += time
+                self.end_time += time
         elif self.at_limit(time):
-            self.seen.end_time = until
+            self.end_time = until
         elif self.met(time):  # its verdict is undecided
-            self.seen.at, self.seen.end_time = "time", until
+            self.at, self.end_time = "time", until

@@ -1,8 +1,7 @@
-"""One particle and one target in contact: the time step, the contact search, the forces of each step, heat, bonding.
+"""One particle and one target in contact: time step, contact search, forces of each step, bonding.
 
-LAMMPS owns the loop over steps and calls back between its internal forces and its kick. There the target makes the same step with
-the same dt (`advance_target`), contact is computed once from the positions of both at n+1 (`exchange_forces`), and each domain
-leaves with its forces.
+LAMMPS runs the loop over steps and calls back between its internal forces and its kick. There the target makes a step with the same
+dt (`advance_target`), and contact forces are computed from the positions of both domains at n+1 (`exchange_forces`).
 """
 
 from dataclasses import dataclass, field
@@ -16,8 +15,8 @@ from ..contact.bond import Bond
 from ..contact.contact import ContactState
 from ..contact.model import Nodes
 from ..contact.particle_bonds import SECURE, ParticleBonds
-from ..core.records import Shape, check_indices, copied, put
-from ..errors import CheckpointError, SolverError
+from ..core.records import Shape, check_indices, copied, put, unfit
+from ..errors import SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
 from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, oxide_film
@@ -33,14 +32,16 @@ from .exposure import Exposure
 from .ledger import Ledger
 from .touching import Touching
 
-APPROACH = 0.5  # spacings that a point may move in a chunk of steps, in which its stable step is not computed again
-LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
+APPROACH = (
+    0.5  # spacings: largest motion of a point in a chunk of steps, in which the stable step is not computed again
+)
+LOST = 0.01  # largest share of the points that can lie deeper than a spacing in the target at the end
 
 
 @dataclass(eq=False)
 class Course:
-    """time s of an impact; force (3,) N on the particle; deepest: largest penetration so far, m; limits: how many steps each of
-    particle, target and contact has limited."""
+    """Course of an impact. time s; force (3,) N: on the particle; deepest m: largest penetration so far; limits: numbers of steps
+    limited by particle, target and contact."""
 
     time: float = 0.0
     deepest: float = 0.0
@@ -50,7 +51,7 @@ class Course:
 
 @dataclass(frozen=True)
 class ImpactState:
-    """State of the two domains and of the contact between them; other fields as in `Impact`."""
+    """State of an `Impact`, for a checkpoint."""
 
     bodies: BodiesState
     particle: ParticleState
@@ -63,10 +64,10 @@ class ImpactState:
 
 
 class Impact(Course):
-    """One particle meeting one target, of one body or several.
+    """The impact of one particle on one target of one or several bodies.
 
-    They touch where the particle's carried surface meets the target's facets. bonds: of the particle, or None; dt_factor: on the
-    stable time step, below 1 after a retry.
+    The carried surface of the particle is in contact with the facets of the target. bonds: of the particle, or None; dt_factor:
+    factor of the stable time step, below 1 after a retry.
     """
 
     def __init__(self, domains: Domains):
@@ -84,7 +85,7 @@ class Impact(Course):
 
     @cached_property
     def _rings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Contact nodes beside each vertex of the particle's surface: its neighbours, and the points under it."""
+        """Contact nodes beside each vertex of the particle's surface (CSR): its neighbours and the points under it."""
         beside = hstack([self.surface.neighbours, self.surface.under], format="csr")
         return beside.indptr.astype(np.int64), beside.indices.astype(np.int64)
 
@@ -95,8 +96,8 @@ class Impact(Course):
 
     @property
     def grip(self) -> Grip:
-        """How bonds hold the particle: by the energy that they can absorb over the energy left to break them, which is the kinetic
-        energy of the centre of mass normal to the surface plus the energy stored in the bonds."""
+        """State of the bonds of the particle, from the ratio of the energy that they can absorb to the energy left to break them:
+        kinetic energy of the centre of mass normal to the surface plus energy stored in the bonds."""
         if self.bonds is None or self.bonds.bond.broken.all():
             return "free"
         if self.sinking < 0.0 and self.bonds.gives_way(self.normal_energy):
@@ -111,17 +112,17 @@ class Impact(Course):
 
     @property
     def dissipated(self) -> float:
-        """Plastic work and heat of friction so far, J, including the amounts of the target before the impact."""
+        """Plastic work and heat of friction, J, including those of the target before the impact."""
         rubbed = 0.0 if self.folding is None else self.folding.contact.sums.friction_heat
         return self.particle.totals.plastic + self.target.balance.plastic + self.contact.sums.friction_heat + rubbed
 
     def _fastest(self) -> float:
-        """Largest speed of a point and of a surface node together, m/s."""
+        """Sum of the largest speed of a point and the largest speed of a surface node, m/s."""
         v = self.target.nodes.v[self.surface_nodes]
         return self.particle.totals.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
 
     def stable_time_step(self) -> float:
-        """The time step (s) that both domains and the contact can take; `limits` counts which of them sets it."""
+        """The stable time step (s) of both domains and the contact. `limits` counts which of them limits it."""
         nearer = APPROACH * self.particle.spacing / (CHUNK * max(self.particle.totals.fastest, 1e-9))
         bounds = {
             "particle": min(self.particle.totals.dt, nearer),
@@ -139,9 +140,9 @@ class Impact(Course):
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this chunk of steps: their springs limit the time step."""
-        time = CHUNK * self.particle.totals.dt  # no step of the chunk is longer
+        time = CHUNK * self.particle.totals.dt  # the longest time of the chunk
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.nodes.v, self.target.nodes.v))))
-        # in a chunk the particle makes no two surfaces faster against each other than it is; half more for what they gain in speed
+        # the particle does not accelerate two surfaces beyond its own speed in a chunk; the factor 1.5 allows for acceleration
         travel = 1.5 * min(max(2.0 * fastest, self.particle.totals.fastest), self._fastest()) * time
         self.bodies.search(travel, by_speed=True, time=time)
 
@@ -155,7 +156,7 @@ class Impact(Course):
             self.folding.search(self.particle, time)
 
     def advance(self, steps: int, dt: float) -> None:
-        """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
+        """Make `steps` steps of dt s. Raises SolverError where a domain fails."""
         needed = self.surface.support(self.contact.rows)
         if self.folding is not None:
             needed = np.union1d(needed, self.folding.needed)
@@ -166,12 +167,12 @@ class Impact(Course):
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:
-        """The target's own step, which needs no data of the particle."""
+        """Advance the target by one step, which needs no data of the particle."""
         self.target.advance(self.particle.dt)
         self.bodies.forces(self.particle.dt)
 
     def exchange_forces(self) -> None:
-        """Contact at n+1, once for both domains, and the forces to each."""
+        """Compute contact and bonds at n+1, and add their forces to both domains."""
         p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
         rows, points = self.contact.rows, self.contact.points
         points.f[rows] = 0.0
@@ -185,7 +186,7 @@ class Impact(Course):
         t.finish()
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Update the clean metal that this chunk of steps has exposed at the touching vertices."""
+        """Update the clean metal at the touching vertices after a chunk of steps."""
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
         if self._films is None:
@@ -193,11 +194,11 @@ class Impact(Course):
         self.exposure.update(self.domains, touching, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Bond the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
+        """Bond the vertices that are pressed on the target now and meet the criterion; a vertex bonds once.
 
-        By exposure a place bonds when its pressure has fallen below that of extrusion, and anew when it has risen above it again: until
-        then fresh metal welds as it slides.
-        Of both sides the larger strain counts. Raises SolverError where strength and energy make no bond.
+        By exposure a vertex bonds when its pressure has fallen below the extrusion pressure: above it fresh metal welds while it
+        slides. If the pressure rises above it again, the bond is removed, and the vertex can bond again. Raises SolverError for a
+        strength and energy that give no admissible bond.
         """
         if self.bonds is not None and self.exposure is not None:
             again = self.exposure.extruding[self.bonds.bond.nodes]
@@ -225,11 +226,11 @@ class Impact(Course):
         self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
-        """Mask (k,) of the touching vertices that bond by the criterion."""
+        """Mask (k,) of the touching vertices that meet the criterion. The larger strain of both sides counts."""
         rows, area = touching.rows, touching.area[touching.rows]
         if self.exposure is not None:
             sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
-            return sound & (touching.strength > 0.0)  # molten: later
+            return sound & (touching.strength > 0.0)  # molten metal bonds after it has solidified
         strain = np.maximum(
             self.surface.values(self.particle.points.eps_p)[rows], self.target.elements.eps_p[touching.element]
         )
@@ -245,7 +246,8 @@ class Impact(Course):
         return metals
 
     def check_contact(self) -> None:
-        """Raise SolverError where the contact has lost points: more than LOST of them lie deeper than a spacing in the target."""
+        """Raise SolverError if more than the share LOST of the points lies deeper than a spacing in the target: the contact lost
+        them."""
         p, t = self.particle, self.target
         depth = depths(p.x, t.nodes.x, t.mesh.conn, least=p.spacing)
         lost = np.count_nonzero(depth)
@@ -258,16 +260,13 @@ class Impact(Course):
     def state(self) -> ImpactState:
         """State of the impact, from which it continues with the same numbers."""
         return ImpactState(
-            self.bodies.state(), self.particle.state(), self.contact.state(),
-            self.folding.state() if self.folding is not None else None, self.ledger,
-            self.bonds.state() if self.bonds is not None else None, self.exposure, copied(self),
+            self.bodies.state(), self.particle.state(), copied(self.contact),
+            copied(self.folding.contact) if self.folding is not None else None, self.ledger,
+            copied(self.bonds.bond) if self.bonds is not None else None, self.exposure, copied(self),
         )  # fmt: skip
 
     def restore(self, state: ImpactState) -> None:
-        """Put a `state` into an impact of the same plan that was just built on its bodies.
-
-        Raises CheckpointError where it does not fit.
-        """
+        """Restore a `state` in a new impact of the same plan and bodies. Raises CheckpointError where it does not fit."""
         self.particle.restore(state.particle)
         self.contact.restore(state.contact)
         if self.folding is not None and state.folding is not None:
@@ -275,9 +274,7 @@ class Impact(Course):
         put(state.course, self)
         self.ledger, self.exposure, self.bonds = state.ledger, state.exposure, None
         if self.exposure is not None and len(self.exposure.clean) != self.surface.weights.shape[0]:
-            raise CheckpointError(
-                "the checkpoint does not fit: the particle has another surface; start again with coldspray run --force"
-            )
+            raise unfit("the particle has another surface")
         if state.bonds is not None:
             check_indices(state.bonds, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
             self.bonds = ParticleBonds(state.bonds, *self._rings)

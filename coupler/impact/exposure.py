@@ -1,4 +1,4 @@
-"""Clean metal that an impact exposes and presses together, at each vertex of the particle's surface: the film theory of bonding."""
+"""Clean metal exposed and pressed together at each vertex of the particle's surface: the film theory of bonding."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,12 +14,12 @@ from .touching import Touching
 
 @dataclass(eq=False)
 class Exposure:
-    """History of the interface so far, at the v vertices of the particle's surface.
+    """History of the interface at the v vertices of the particle's surface.
 
-    clean (v,2): share of clean metal of the two surfaces, the smaller and the larger (`physics.adhesion.clean_share`), when the smaller
-    was largest. sound (v,): share of the area at which clean metal has come through the cracks to the other surface, the largest so far
-    (`physics.adhesion.sound_fraction`). extruding (v,): whether the pressure of this instant brings metal through the cracks.
-    area_0 (v,), facet_area_0 (f,) m2: at the start.
+    clean (v,2): smaller and larger share of clean metal of the two surfaces (`physics.adhesion.clean_share`), at the time of the
+    largest smaller share; sound (v,): largest share of the area at which clean metal has come through the cracks of the films
+    (`physics.adhesion.sound_fraction`); extruding (v,): the present pressure extrudes metal through the cracks; area_0 (v,),
+    facet_area_0 (f,) m2: areas of vertices and facets at the start.
     """
 
     area_0: Annotated[np.ndarray, Shape(-1)]
@@ -37,7 +37,7 @@ class Exposure:
         return cls(area_0, facet_area_0, np.zeros((n, 2)), np.zeros(n), np.zeros(n, bool))
 
     def update(self, domains: Domains, touching: Touching, threshold: np.ndarray) -> None:
-        """Update the history at the touching vertices. threshold (l,): exposure at which the films on each law of the target crack."""
+        """Update the history at the touching vertices. threshold (l,): exposure at which films crack, for each law of the target."""
         target = domains.target
         rows, facets = touching.rows, touching.facets
         self.extruding[:] = False
@@ -50,15 +50,15 @@ class Exposure:
         clean = np.sort(np.stack([clean_share(own, cracked), clean_share(other, cracked)], axis=1), axis=1)
         self.clean[rows] = np.where((clean > self.clean[rows])[:, :1], clean, self.clean[rows])
         beside = domains.surface.neighbours
-        pressure = ((force + beside @ force) / (area + beside @ area))[rows]  # of a vertex and its neighbours
+        pressure = ((force + beside @ force) / (area + beside @ area))[rows]  # mean over a vertex and its neighbours
         self.extruding[rows] = pressure > EXTRUSION * strength
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
 
     def bonds(
         self, rows: np.ndarray, film_force: np.ndarray, strength: np.ndarray, stiffness: float
     ) -> dict[str, np.ndarray]:
-        """Laws of bonds at vertices `rows` (k,), for `contact.bond.Bond`. film_force (k,) N/m, strength (k,) Pa and stiffness Pa/m as
-        in `physics.adhesion.ligament_bonds`."""
+        """Laws of bonds (`contact.bond.Bond.tie`) at the vertices `rows` (k,). film_force (k,) N/m, strength (k,) Pa, stiffness
+        Pa/m: as in `physics.adhesion.ligament_bonds`."""
         smaller, larger = self.clean[rows].T
         width = ligament_width(smaller, film_force, strength)
         return ligament_bonds(self.sound[rows], width, larger, strength, stiffness)

@@ -1,24 +1,23 @@
-"""A particle that meets itself: walls of a hollow sphere, ends of a rod, lobes of a powder."""
+"""Self-contact of a particle: walls of a hollow sphere, ends of a rod, lobes of a powder."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..contact.contact import Contact, ContactState
+from ..contact.contact import Contact
 from ..contact.model import Nodes
 from ..core.arrays import Floats, Ints
 from ..particle.carried_surface import CarriedSurface
 from ..particle.shapes import Body
-from ..plan.planning import ImpactPlan
 from ..ranks.distributed import DistributedParticle
 
-SHAPES = ("hollow_sphere", "rod", "flake", "file")  # whose parts can meet
-APART = 2.5  # spacings in the undeformed body: what was nearer is the same part of the surface
-SKIN = 1.0  # spacings that a search looks farther than it must
+SHAPES = ("hollow_sphere", "rod", "flake", "file")  # shapes with possible self-contact; the others are convex
+APART = 2.5  # spacings in the undeformed body: a vertex has no contact with faces that were closer
+SKIN = 1.0  # spacings added to the search distance
 
 
 class _OwnContact(Contact):
-    """Vertices of a surface against its own faces, less those near a vertex in the undeformed body."""
+    """Contact of the vertices of a surface with its own faces, except faces that are near a vertex in the undeformed body."""
 
     def __init__(self, vertices: Floats, triangles: Ints, stiffness: float, spacing: float, friction: float):
         body, faces = np.zeros(len(vertices), np.int64), np.ones(len(triangles), np.int64)
@@ -34,7 +33,8 @@ class _OwnContact(Contact):
 
 
 def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSurface:
-    """The surface of a particle with those of its cavities. body: undeformed, about its centre, which is at place (3,) m."""
+    """The surface of a particle, including its cavities. body: undeformed, around its centre; place (3,) m: centre; outer: outer
+    surface."""
     if body.inner is None:
         return outer
     hole, facing = body.inner
@@ -43,43 +43,39 @@ def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSu
 
 
 class Folding:
-    """Contact of all surfaces of a particle, cavities included, with each other and with themselves.
+    """Contact of all surfaces of a particle, including cavities, with each other and with themselves.
 
-    A vertex that was behind a face before it came near, as on the other side of a wall, has no contact with it
-    (`contact.kernels.follow`).
+    A vertex that lies behind a face when it is first found near it, as on the other side of a wall, has no contact with this face
+    (`contact.kernels.project`).
     """
 
     def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):
-        """body: undeformed, about its centre, which is at place (3,) m; surface: its outer one; stiffness N/m of a vertex."""
+        """body: undeformed, around its centre; surface: outer surface; place (3,) m: centre; stiffness N/m: of a vertex."""
         self.surface = whole_surface(body, surface, place)
         vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
         self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)
         self._support = self.surface.support(np.arange(len(vertices)))
 
     def search(self, particle: DistributedParticle, time: float) -> None:
-        """Find the parts of the surface that can touch within `time` s."""
+        """Find the parts of the surface that can touch each other within `time` s."""
         weights, mass = self.surface.weights, particle.mass / particle.mass.sum()
-        # what moves as a whole comes no nearer to itself
+        # relative to the centre of mass: a motion of the whole particle does not change distances
         x, v = weights @ (particle.x - mass @ particle.x), weights @ (particle.v - mass @ particle.v)
         fastest = float(np.sqrt(np.einsum("ij,ij->i", v, v).max()))
         self.contact.search(x, x, 1.5 * 2.0 * fastest * time)
 
-    def state(self) -> ContactState:
-        """State of the contact, for a checkpoint."""
-        return self.contact.state()
-
     @property
     def needed(self) -> Ints:
-        """The points of the particle that the forces depend on and act on."""
+        """Points of the particle on which the contact forces depend and act."""
         return self._support if len(self.contact.rows) else self._support[:0]
 
     def stable_dt(self, mass: Floats) -> float:
-        """Stable time step (s) of the springs; mass (n,) kg of the points."""
+        """Stable time step (s) of the springs. mass (n,) kg: of the points."""
         softness = self.surface.softness(mass)
         return self.contact.stable_dt(softness, 1.0 / softness) if len(self.contact.rows) else np.inf
 
     def forces(self, particle: DistributedParticle) -> None:
-        """Add the forces of this instant to those on the points of the particle."""
+        """Add the contact forces to the external forces on the points of the particle."""
         if len(self.contact.rows) == 0:
             return
         weights, points = self.surface.weights, self.contact.points
@@ -89,16 +85,9 @@ class Folding:
         particle.f_ext += weights.T @ (points.f + f)
 
     def heat(self) -> Floats:
-        """Heat (n,) J of friction since the last call, by point of the particle."""
+        """Heat of friction (n,) J since the last call, for each point of the particle."""
         c, into = self.contact, np.zeros(self.surface.touching.shape[0])
         into[: len(c.heat_point)] = c.heat_point
         np.add.at(into, c.faces["nodes"], c.heat_face[:, None] / 3.0)
         c.heat_point[:], c.heat_face[:] = 0.0, 0.0
         return self.surface.spread_heat(into)
-
-
-def folding(
-    plan: ImpactPlan, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float
-) -> Folding | None:
-    """The contact of a particle with itself; None for a convex one, whose parts do not meet."""
-    return Folding(body, surface, place, stiffness, friction) if plan.shape in SHAPES else None

@@ -1,4 +1,4 @@
-"""Heat in an impact: conduction among the particle's points and across the contact, heat of friction."""
+"""Heat in an impact: conduction in the particle and across the contact, heat of friction."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class HeatPaths:
     folding: Folding | None = None
 
     def flow(self, time: float) -> None:
-        """Let heat flow for `time` s among the points of the particle and across the contact."""
+        """Conduct heat for `time` s among the points of the particle and across the contact."""
         if self.points is not None:
             self.particle.warm(self.points.share(time, self.particle.x, self.particle.points.T))
         if self.interface:
@@ -41,8 +41,8 @@ class HeatPaths:
                 self.target.warm(elements, heat)
 
     def release(self, bonds: ParticleBonds | None) -> None:
-        """Turn the heat of friction, and of torn bonds, since the last call into temperature, of points and of the elements behind
-        facets. The particle gets the contact's `share` of the heat of bonds."""
+        """Heat the points, and the elements behind facets, by the friction and the fracture of bonds since the last call. The
+        particle gets the contact's `share` of the heat of bonds."""
         if not self.friction:
             return
         target, contact = self.target, self.contact
@@ -60,16 +60,18 @@ class HeatPaths:
             target.warm_around(bonds.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
 
     def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (k,) J at rows (k,) of the particle's surface into its points."""
+        """Add heat (k,) J at rows (k,) of the particle's surface to its points."""
         into = np.zeros(self.surface.touching.shape[0])
         into[rows] = heat
         self.particle.warm(self.surface.spread_heat(into))
 
     def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.
+        """Vertices (k,) of the particle's surface in contact, the element (k,) under each, and the heat (k,) J that it gets in
+        `time` s.
 
-        Two lumps in contact, a layer one spacing thick and the element's part: they level out exponentially, so that no
-        time is too long. The resistance is that of what lies between the contact and where temperatures are known.
+        Each pair is modelled as two lumps, a layer of the particle one spacing thick and the vertex's part of the element. Their
+        temperatures approach each other exponentially, which is stable for any time. The thermal resistance is that of the material
+        between the contact and the places of the two temperatures.
         """
         particle, target, surface = self.particle, self.target, self.surface
         rows, facets = self.contact.touching(len(surface.weights.indptr) - 1)
@@ -83,7 +85,9 @@ class HeatPaths:
         T_a, T_b = surface.values(particle.points.T)[rows], target.elements.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         area_b = areas(target.nodes.x, target.mesh.facets[facets])
-        deep_b = 0.75 * target.elements.volume[elements] / area_b  # of a tetrahedron's centre
+        deep_b = (
+            0.75 * target.elements.volume[elements] / area_b
+        )  # distance of the centroid of a tetrahedron from its face
         a, b = particle.law[0], target.laws[target.law_of[elements]]
         resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
         C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing

@@ -10,11 +10,11 @@ from ..core.records import Shape
 from ..errors import SolverError
 from .domains import Domains
 
-DRIFT_BOUND = 0.01  # of the initial kinetic energy: a run that ends beyond it has failed
-DRIFT_ALARM = 4.0 * DRIFT_BOUND  # during the run, where part of the drift may come back
+DRIFT_BOUND = 0.01  # of the initial kinetic energy: largest drift at the end of a run
+DRIFT_ALARM = 4.0 * DRIFT_BOUND  # largest drift during the run: part of it can be reversible
 MOMENTUM_BOUND = 1e-6  # of the initial momentum
-DISSIPATION_BOUND = -0.01  # numerical dissipation below it: the scheme generates energy and is unstable
-FLOWS = 0.01  # of the initial kinetic energy: the least plastic work that a share of it says something about
+DISSIPATION_BOUND = -0.01  # of the initial kinetic energy: with a lower numerical dissipation the scheme is unstable
+FLOWS = 0.01  # of the initial kinetic energy: plastic work below which ratios to it are not reported
 
 _STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
@@ -24,17 +24,17 @@ _STORED = (
 
 @dataclass
 class Ledger:
-    """Energies of both domains in J, of one impact: the energy of the target before the impact is subtracted.
+    """Energies of both domains in one impact, J, less the energy of the target before the impact.
 
-    The sum of all terms is constant; `drift` is its change over the particle's initial kinetic energy. Of the work done against the
-    particle's internal forces, the part that is neither elastic nor plastic is the numerical dissipation of the SPH scheme:
-    numerical_particle, the sum of viscosity_particle and hourglass_particle, measured from their own forces, and of
-    unexplained_particle, the rest (with an engine that does not measure them: all of it). numerical_target is the work of the bulk
-    viscosity, the target's only dissipation, and what the inertia of its scaled elements holds and has taken. The target's elastic and
-    plastic energies are functions of its state, so that the drift measures its stress update and the contact as well.
+    The sum of all terms is constant; `drift` is its change over the initial kinetic energy of the particle. numerical_particle:
+    numerical dissipation of the SPH scheme, the work against internal forces less elastic and plastic energy. Its parts
+    viscosity_particle and hourglass_particle are measured from their own forces; unexplained_particle is the rest (all of it with
+    an engine that does not measure them). numerical_target: work of the bulk viscosity and of the inertia of scaled elements.
+    Elastic and plastic energy of the target are functions of its state: the drift includes errors of its stress update and of the
+    contact.
 
-    kinetic_0: initial kinetic energy, J; momentum_0 (3,): initial momentum, N s; scale: its norm for the particle alone; before: the
-    terms at the start, J; rows: the terms at the last update.
+    kinetic_0 J: initial kinetic energy; momentum_0 (3,) N s: initial momentum; scale: norm of the initial momentum of the particle
+    alone; before: terms at the start, J; rows: terms at the last update.
     """
 
     kinetic_0: float
@@ -45,16 +45,16 @@ class Ledger:
 
     @classmethod
     def begin(cls, domains: Domains) -> "Ledger":
-        """The ledger of an impact that begins."""
+        """The ledger at the start of an impact."""
         momentum, target = domains.particle.totals.momentum, domains.target
         whole = momentum + target.momentum() - target.external_impulse()
         scale, before = float(np.linalg.norm(momentum)), _terms(domains, None)
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
     def update(self, domains: Domains, bonds: ParticleBonds | None = None) -> dict[str, float]:
-        """Energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum) of this instant.
+        """Present energies (J), drift (over the initial kinetic energy) and momentum_error (over the initial momentum).
 
-        bonds: the bond of the particle to the target, None without one.
+        bonds: between particle and target, None without.
         """
         r, target = _terms(domains, bonds), domains.target
         total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
@@ -69,12 +69,12 @@ class Ledger:
 
     @property
     def numerical_dissipation(self) -> float:
-        """Share of the initial kinetic energy that the schemes of both domains have dissipated."""
+        """Numerical dissipation of both domains over the initial kinetic energy."""
         return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
 
     @property
     def dissipation_of_plastic(self) -> float | None:
-        """Numerical dissipation of the particle over its plastic work; None where it hardly flows, by less than FLOWS."""
+        """Numerical dissipation of the particle over its plastic work; None if the plastic work is below FLOWS."""
         plastic = self.rows["plastic_particle"]
         return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
 
@@ -96,7 +96,7 @@ class Ledger:
     def check_closure(self) -> None:
         """Raise SolverError when the ledger of a finished impact does not close."""
         self.check()
-        # what viscosity and hourglass control take must not hide what is generated elsewhere
+        # losses by viscosity and hourglass control must not hide energy that is generated elsewhere
         dissipated, unexplained = (
             self.rows[f"{name}_particle"] / self.kinetic_0 for name in ("numerical", "unexplained")
         )
@@ -108,7 +108,7 @@ class Ledger:
 
 
 def _terms(domains: Domains, bonds: ParticleBonds | None) -> dict[str, float]:
-    """Present value of each term of the ledger, J."""
+    """Present values of all terms of the ledger, J."""
     particle, target, contact = domains.particle.totals, domains.target, domains.contact
     r = {"kinetic_particle": particle.kinetic, "kinetic_target": target.kinetic()}
     r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]

@@ -18,11 +18,11 @@ def advance_to_end(
     keep: Callable[[], None],
     probe: Callable[[Impact], None] | None,
 ) -> None:
-    """Advance an impact until it is over. keep(): called before each chunk of steps, to keep the state; probe(impact): after it.
+    """Advance an impact to its end. keep(): called before each chunk of steps, stores the state; probe(impact): called after it.
 
     Raises SolverError when a domain fails or the energy ledger does not close, StoreError when a file cannot be written.
     """
-    end_time, adhesion = ending.seen.end_time if ending.seen.at == "time" else None, recorder.plan.adhesion
+    end_time, adhesion = ending.end_time if ending.at == "time" else None, recorder.plan.adhesion
     while not ending.reached(impact.time):
         keep()
         dt = advance_chunk(impact, end_time)
@@ -45,14 +45,14 @@ def advance_to_end(
 
 
 def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
-    """Advance both domains by CHUNK steps, fewer and smaller near end_time (s). Returns the time step, s."""
+    """Advance both domains by CHUNK steps, fewer and shorter ones before end_time (s). Returns the time step, s."""
     impact.search_bodies()
     dt, steps = impact.stable_time_step(), CHUNK
     if end_time is not None and impact.time + steps * dt > end_time:
         steps = max(1, int(np.ceil((end_time - impact.time) / dt - 1e-9)))
         dt = (end_time - impact.time) / steps
     impact.search_contacts(steps * dt)
-    impact.advance(steps, dt)  # LAMMPS runs the steps; each of them calls impact.exchange_forces
+    impact.advance(steps, dt)  # LAMMPS runs the steps; each step calls impact.exchange_forces
     impact.domains.paths.flow(steps * dt)
     impact.domains.paths.release(impact.bonds)
     return dt

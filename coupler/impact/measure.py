@@ -1,4 +1,4 @@
-"""What is measured of an impact, always by the same words: shape, strain, temperature, stress, energy."""
+"""Measures of an impact: shape, strain, temperature, stress, velocity."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,22 +11,22 @@ from ..particle.carried_surface import CarriedSurface
 from ..physics.constitutive import von_mises
 from .domains import Domains
 
-FAR = 2.0  # spacings: a vertex of the surface so far from any point lies in a jet that no point resolves
-YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
+FAR = 2.0  # spacings: a vertex farther from all points lies in a jet that is not resolved
+YIELDED = 0.002  # smallest plastic strain of a yielded element: the offset of the 0.2 % proof stress
 
 
 def share_inside_itself(surface: CarriedSurface, x: np.ndarray) -> float:
-    """Share of a particle's points x (n,3) m that lie in another part of it: its surface, cavities included, surrounds their places
-    more than once."""
+    """Share of the points x (n,3) m of a particle that lie in another part of it: the surface, including cavities, has a winding
+    number above 1 there."""
     return float(np.mean(RaySurface(surface.positions(x), surface.triangles).windings(x) > 1))
 
 
 def crater_depth(surface: np.ndarray) -> float:
-    """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes; 0 without any, as in the cut of an
-    impact on a heap that is higher than its window.
+    """Depth of a crater below z = 0, m. surface (k,3) m: surface nodes of the target; the depth is 0 without nodes, as in the
+    sub-domain of an impact on a pile higher than its window.
 
-    The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: the depth of a single node
-    depends on the mesh.
+    It is the lowest nodal value of a paraboloid fitted to the 16 nodes nearest to the deepest one, because the depth of a single
+    node depends on the mesh.
     """
     if len(surface) == 0:
         return 0.0
@@ -41,10 +41,10 @@ def crater_depth(surface: np.ndarray) -> float:
 
 
 def plastic_zone(target: Target) -> tuple[float, float]:
-    """Radius and depth (m) of the zone of the substrate that has yielded, by a plastic strain of YIELDED or more.
+    """Radius and depth (m) of the yielded zone of the substrate, with a plastic strain of YIELDED or more; 0 without one.
 
-    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of the lowest centroid of a yielded
-    element below z = 0; 0 if nothing has yielded.
+    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of the lowest centroid of a
+    yielded element below z = 0.
     """
     mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]
@@ -57,8 +57,8 @@ def plastic_zone(target: Target) -> tuple[float, float]:
 
 
 def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]:
-    """Measures of this instant, SI, but for the crater. Heights above z = level; means over mass, percentiles over points. diameter:
-    of the particle, m."""
+    """Present measures, SI, without the crater. diameter m: of the particle; level m: height from which heights are measured. Means
+    are over mass, percentiles over points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = float(particle.law["rho"][0])
     vertices = surface.positions(particle.x)

@@ -1,4 +1,4 @@
-"""What is written of an impact while it runs: rows of the history, fields in time, and the ranges that it has left."""
+"""Output of an impact while it runs: rows of the history, fields in time, and the ranges of models that it has left."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -22,18 +22,17 @@ from .measure import crater_depth, measure
 from .validity import Extremes
 
 FITTED = 16  # nodes that `crater_depth` fits
-ROWS = 50  # rows of the history in D / v, at least one in two chunks of steps
+ROWS = 50  # rows of the history in a time of D / v, and at least one row per two chunks of steps
 LEAST_VERTICES = 500  # in a range of a shared loop
-VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
+VTK_ORDER = [0, 1, 2, 5, 3, 4]  # order of tensor components in ParaView: xx yy zz xy yz xz
 
 
 @dataclass
 class Recorded:
-    """Times of the next outputs and observations of an impact so far. next_row, next_output: times in s; greatest: measures at the
-    greatest deformation, None before it; over_rim: the particle has reached beyond the substrate's edge and below its surface;
-    at_rim: it has touched the rim of the target's window; met (k,): heights, m, of the surface that it
-    meets, at its nodes, before the impact; touched_at: height of the particle's centre, m, when it last touched anything, or
-    before it has."""
+    """State of a `Recorder`. next_row, next_output s: times of the next outputs; greatest: measures at the greatest deformation,
+    None before it; over_rim: the particle has reached beyond the rim of the substrate and below its surface; at_rim: it has touched
+    the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at m: height of the
+    particle's centre at its last contact, or at the start before the first contact."""
 
     next_row: float = 0.0
     next_output: float = 0.0
@@ -46,18 +45,15 @@ class Recorded:
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
-    """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined;
-    impact: with which each has come, 0 of the substrate."""
+    """Output fields of all tetrahedra. body: 0 for the substrate, then the splats in the order in which they joined; impact: number
+    of the impact that made each body, 0 for the substrate."""
     t, stress = bodies.target, bodies.target.stress()
     own = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.elements.plastic_strain}
     return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
 class Recorder:
-    """Writes one impact into the files of its run.
-
-    before: simulated time (s) of the impacts before it.
-    """
+    """Writes one impact to the files of its run. before: simulated time (s) of the earlier impacts."""
 
     def __init__(self, plan: Plan, i: int, store: Store, progress: Progress, before: float):
         self.plan, self.i, self.impact_plan = plan, i, plan.impacts[i]
@@ -67,8 +63,8 @@ class Recorder:
         self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
-        """Write the fields of the first instant, unless the restored files have them already: for the first impact, and for others if
-        not only their end is written."""
+        """Write the fields at the start, unless the restored files have them: of the first impact always, of other impacts unless
+        only their end is written."""
         if self.seen.next_output == 0.0:
             self.seen.met = impact.target.nodes.x[impact.surface_nodes, 2]
             self.seen.touched_at = float(impact.particle.x[:, 2].mean())
@@ -77,7 +73,7 @@ class Recorder:
             self.seen.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
-        """Write the outputs due after a chunk of steps of dt s, and all outputs after the last one.
+        """Write the outputs that are due after a chunk of steps of dt s, and all outputs after the last chunk.
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """
@@ -89,32 +85,23 @@ class Recorder:
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
-        """Measure the greatest deformation, and write it where not the end alone is written."""
+        """Measure the greatest deformation, and write its fields unless only the end is written."""
         self.seen.greatest = self.measures(impact)
         if np.isfinite(self.seen.next_output):
             self.write_fields(impact)
 
     def write_row(self, impact: Impact, dt: float) -> None:
-        """One row of history.csv, and a look at the ranges of the models."""
+        """Write one row of history.csv, and update the extremes of the impact."""
         particle = impact.particle
         ledger = impact.ledger.update(impact.domains, impact.bonds)
         skin = impact.surface.positions(particle.x)
-        row = {
-            "time": self.before + impact.time,
-            "impact": float(self.i + 1),
-            "dt": dt,
-            "step": float(particle.steps),
-            **ledger,
-        }
         bottom, top = extent(skin, impact.surface.triangles, UP)
-        row["height"], row["thickness"] = top - self._flight(impact), top - bottom
-        row["crater_depth"] = self._crater(impact)
-        row["velocity_z"] = -impact.sinking
-        row["contact_force"] = float(impact.force[2])
-        row["T_max"] = float(particle.points.T.max())
-        row["eps_p_mean"] = float(particle.points.eps_p.mean())
-        row["stretch_min"] = particle.totals.stretch_min
-        self.store.record(row)
+        self.store.record({
+            "time": self.before + impact.time, "impact": float(self.i + 1), "dt": dt, "step": float(particle.steps), **ledger,
+            "height": top - self._flight(impact), "thickness": top - bottom, "crater_depth": self._crater(impact),
+            "velocity_z": -impact.sinking, "contact_force": float(impact.force[2]), "T_max": float(particle.points.T.max()),
+            "eps_p_mean": float(particle.points.eps_p.mean()), "stretch_min": particle.totals.stretch_min,
+        })  # fmt: skip
         self._notice(impact, skin)
         self.seen.next_row = impact.time + min(self._row_every, 1.5 * CHUNK * dt)
         if not np.isfinite(ledger["drift"]):
@@ -125,12 +112,12 @@ class Recorder:
         self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 
     def is_above(self, impact: Impact) -> bool:
-        """Whether the particle's centre is above the target, not beyond its rim."""
+        """Whether the centre of the particle is above the target, not beyond its rim."""
         away = np.subtract([along.mean() for along in impact.particle.x[:, :2].T], self.plan.target.centre)
         return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
-        """Note where the impact leaves the range of its models. skin (k,3) m: the particle's surface."""
+        """Record extremes of the models, and whether the particle is at a rim. skin (k,3) m: surface of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
@@ -139,8 +126,8 @@ class Recorder:
         self.seen.at_rim |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
 
     def write_fields(self, impact: Impact) -> None:
-        """One time step of particle.vtkhdf, surface.vtkhdf and target.vtkhdf."""
-        # a moment later than the last step of the impact before: viewers want each time once
+        """Write one time step of particle.vtkhdf, surface.vtkhdf and target.vtkhdf."""
+        # slightly later than the last step of the impact before: viewers need different times
         time = self.before + max(impact.time, 1e-15 if self.i else 0.0)
         p, s, t = impact.particle, impact.surface, impact.target
         stress = p.stress()
@@ -151,7 +138,7 @@ class Recorder:
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         vertices = s.positions(p.x)
-        tree = cKDTree(p.x, balanced_tree=False, compact_nodes=False)  # built sooner
+        tree = cKDTree(p.x, balanced_tree=False, compact_nodes=False)  # faster to build
         skin["from_points"] = away = np.empty(len(vertices))
 
         def measure_distance(lo: int, hi: int) -> None:
@@ -163,20 +150,20 @@ class Recorder:
         self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
-        """Measures of this instant, SI."""
+        """Present measures, SI."""
         level = impact.domains.level + self._flight(impact)
         m = measure(impact.domains, self.impact_plan.diameter, level)
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:
-        """How far (m) a particle that touches nothing has risen since it did: shape is measured where it left."""
+        """Height (m) by which a particle without contact has risen since its last contact: its shape is measured there."""
         return max(0.0, float(impact.particle.x[:, 2].mean()) - self.seen.touched_at)
 
     def _crater(self, impact: Impact) -> float:
-        """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before.
+        """Depth (m) of the crater of this impact: displacement of the target's surface since its start.
 
-        `crater_depth` fits the substrate's nodes; of a crater in splats, whose nodes are sparse, those in its lower half, and where
-        these are too few, the lowest counts.
+        `crater_depth` fits the nodes of the substrate. On splats, whose nodes are sparse, it fits the nodes in the lower half of
+        the crater; if these are fewer than FITTED, the lowest node counts.
         """
         x = impact.target.nodes.x[impact.surface_nodes]
         lowered = self.seen.met - x[:, 2]

@@ -1,4 +1,4 @@
-"""What follows a failure inside an impact: it is computed again from its start, with the next of REMEDIES; each retry is reported."""
+"""Retries after a failure in an impact: it is computed again from its start, with the next of REMEDIES. Each retry is reported."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,15 +8,15 @@ from ..errors import SolverError
 
 @dataclass(frozen=True)
 class Remedy:
-    """dt_factor: on the stable time step; numerics: the least that the particle's `Numerics` are raised to; words: its description."""
+    """dt_factor: factor of the stable time step; words: description; numerics: minimum values of the particle's `Numerics`."""
 
     dt_factor: float
     words: str
     numerics: Mapping[str, float]
 
 
-# The first one gives the enriched scheme hourglass control in place of its residuals, which let a soft rim thin out without end.
-# The second one changes every scheme: at 4000 points Q1 0.2 takes 1.2 % and hourglass 3 takes 0.9 % of the flattening.
+# The first one gives the enriched scheme hourglass control in place of residuals: with these a soft rim can thin out without limit.
+# The second one changes every scheme: at 4000 points Q1 = 0.2 reduces the flattening by 1.2 %, and hourglass = 3 by 0.9 %.
 REMEDIES = (
     Remedy(0.5, "half the time step, with hourglass control", {"control": 1.0}),
     Remedy(
@@ -28,7 +28,7 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class Retry:
-    """One retry. time_s: of the failure, from the start of the run; numerics: the particle's in the retry."""
+    """One retry. time_s: time of the failure since the start of the run; numerics: of the particle in the retry."""
 
     impact: int
     time_s: float
@@ -44,8 +44,8 @@ class Retry:
 def next_retry(
     before: Sequence[Retry], requested: Mapping[str, float], error: SolverError, impact: int, time: float
 ) -> Retry:
-    """The retry that follows an error. before: earlier retries of the same impact; requested: numerics that the user has set;
-    time: s, of the error. Raises the error when no remedy is left."""
+    """The retry after an error. before: earlier retries of the same impact; requested: numerics that the user has set; time s: of
+    the error. Raises the error when no remedy is left."""
     if len(before) >= len(REMEDIES):
         raise error
     remedy = REMEDIES[len(before)]

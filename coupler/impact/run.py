@@ -1,4 +1,4 @@
-"""One impact as a function: target in, outcome out, with its retries and its checkpoints."""
+"""One impact as a function from a target to an outcome, with retries and checkpoints."""
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..contact.particle_bonds import ParticleBonds
+from ..core.records import copied, put
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
 from ..plan.forecast import forecast
@@ -28,12 +29,12 @@ from .verdict import is_tied
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run; `progress`, `ranks`, `threads`, `jobs` and files do not change the numbers.
+    """Options of a run; `progress`, `ranks`, `threads`, `jobs` and files do not change the numbers.
 
-    threads: that share the loops of a step, and of what lies between the impacts; numerics: values in place of the defaults of
-    `particle.particle.Numerics`; probe: called with the `Impact` after every chunk of steps; checkpoint_every: s of wall time;
-    log_file: LAMMPS's; until: time limit (s) of an impact that goes on after its own one, None for as long again; skip_failed: impacts
-    that fail are left out; jobs: impacts of a batch at a time.
+    log_file: of LAMMPS; threads: number that share the loops of a step and the work between impacts; numerics: values in place of
+    the defaults of `particle.particle.Numerics`; probe: called with the `Impact` after each chunk of steps; checkpoint_every: wall
+    time, s; until s: new time limit of an impact that continues after its own one, None: the same time again; skip_failed: leave
+    out impacts that fail; jobs: number of impacts of a batch at a time.
     """
 
     progress: Progress
@@ -50,7 +51,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class ImpactOutcome:
-    """A finished impact: its domains, LAMMPS still running; the bond of its particle, or None; its record for summary.json."""
+    """A finished impact: domains, with LAMMPS still running; bonds of the particle, or None; record for summary.json."""
 
     domains: Domains
     bonds: ParticleBonds | None
@@ -59,8 +60,8 @@ class ImpactOutcome:
 
 @dataclass(frozen=True)
 class RunningState:
-    """An impact on its way. level: height of the surface where the particle first touches it, m; wall, looped: s of wall time so far,
-    in all and in the time loop."""
+    """State of an unfinished impact. level m: height of the surface where the particle first touches it; wall, looped s: wall time
+    so far, in total and in the time loop."""
 
     impact: ImpactState
     ending: EndState
@@ -84,17 +85,17 @@ def run_impact(
 ) -> ImpactOutcome:
     """Compute impact i of a plan from its start, or from a stored state, to its end.
 
-    bodies, written: the target before it, and the amount written to each file then, None if the files begin with it; before: simulated
-    time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
-    impact is computed again from its start with the next remedy (`impact.retry`). An impact that has not met its end criterion at its
-    time limit is undecided: it writes a checkpoint, and continues when it is resumed from it; so does one whose verdict is undecided.
-    Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
+    bodies: target before the impact; written: amount written to each file before it, None if the files start with it; before s:
+    simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
+    computed again from its start with the next remedy (`impact.retry`). An impact that does not meet its end criterion at its time
+    limit is undecided: it writes a checkpoint, from which it can continue; the same holds for an undecided verdict. Raises
+    SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
     """
     retries: list[Retry] = []
     watch = _WallClock()
     if resume_from is not None:
         retries, watch = list(resume_from.retries), _WallClock(resume_from.wall, resume_from.looped)
-        options.progress.log(f"going on from {(before + resume_from.impact.course.time) * 1e9:.1f} ns")
+        options.progress.log(f"continuing from {(before + resume_from.impact.course.time) * 1e9:.1f} ns")
     with stop_signals() as signals:
         while True:
             met, level = (resume_from.impact.bodies, resume_from.level) if resume_from is not None else (bodies, None)
@@ -115,7 +116,7 @@ def run_impact(
 
 
 class _Attempt:
-    """One try to compute an impact, with the numerics and the time step of the last of its retries."""
+    """One attempt to compute an impact, with the numerics and the time step of the last retry."""
 
     def __init__(
         self,
@@ -128,7 +129,7 @@ class _Attempt:
         retries: Sequence[Retry],
         level: float | None,
     ):
-        """bodies, level: as the impact meets them, as for `build_domains`. Starts LAMMPS."""
+        """bodies, level: as in `build_domains`. Starts LAMMPS."""
         p = plan.impacts[i]
         self.plan, self.i, self.options, self.retries = plan, i, options, retries
         options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
@@ -141,33 +142,25 @@ class _Attempt:
         self.recorder = Recorder(plan, i, store, options.progress, before)
 
     def restore(self, state: RunningState) -> None:
-        """Go on from a state of the impact on its way."""
+        """Continue from a state of the unfinished impact."""
         self.impact.restore(state.impact)
-        self.ending.seen, self.recorder.seen = state.ending, state.recorder
+        put(state.ending, self.ending)
+        self.recorder.seen = state.recorder
         self.ending.extend(self.impact.time, self.options.until)
 
     def run(self, watch: "_WallClock", signals: StopSignals, save: Callable[[RunningState], None]) -> ImpactOutcome:
-        """Compute the impact to its end; write a checkpoint if the impact can continue from there."""
-        impact, ending, recorder = self.impact, self.ending, self.recorder
+        """Compute the impact to its end. Write a checkpoint if the impact can continue from there."""
+        impact, ending, recorder, saved = self.impact, self.ending, self.recorder, clock.perf_counter()
 
-        def state() -> RunningState:
-            return RunningState(
-                impact.state(),
-                ending.seen,
-                recorder.seen,
-                list(self.retries),
-                self.domains.level,
-                watch.wall,
-                watch.looped,
-            )
-
-        saved = clock.perf_counter()
+        def save_state() -> None:
+            done = impact.state(), copied(ending), recorder.seen, list(self.retries)
+            save(RunningState(*done, self.domains.level, watch.wall, watch.looped))
 
         def keep() -> None:
-            """Write a checkpoint that is due. Raises Stopped, with one written, after a signal."""
+            """Write a checkpoint if one is due. After a signal, write one and raise Stopped."""
             nonlocal saved
             if signals.number or clock.perf_counter() - saved >= self.options.checkpoint_every:
-                save(state())
+                save_state()
                 saved = clock.perf_counter()
             if signals.number:
                 raise Stopped(signals.number)
@@ -182,13 +175,13 @@ class _Attempt:
             )
         record = summarise(impact, recorder, ending, self.retries, watch.wall, watch.looped)
         if record.values["undecided"] is not None or record.values["rebounded"] is None:
-            save(state())
+            save_state()
         return ImpactOutcome(self.domains, impact.bonds, record)
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """The end criterion of impact i in the plan. energy: of the impact, J. On earlier splats a particle may creep: a slow one counts
-    as at rest. On a coating, one that the scene ties is not waited for until its contact is silent."""
+    """The end criterion of impact i. energy J: of the impact. On earlier splats a slow particle counts as at rest, because it can
+    creep. On a coating, a particle that the scene ties ends before its contact is silent."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
     slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0
@@ -196,13 +189,13 @@ def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
 
 
 class _WallClock:
-    """Wall time of an impact, s: all of it, and in the time loop; both go on over retries and resumptions."""
+    """Wall time of an impact, s: in total and in the time loop. Both include retries and earlier parts of a resumed impact."""
 
     def __init__(self, wall: float = 0.0, looped: float = 0.0):
         self._began, self._looped, self._loop_began = clock.perf_counter() - wall, looped, 0.0
 
     def start_loop(self) -> None:
-        """Note that the time loop begins, for the first time or after a retry."""
+        """Start the time of the loop, unless it runs since before a retry."""
         self._loop_began = self._loop_began or clock.perf_counter() - self._looped
 
     @property

@@ -9,11 +9,11 @@ from ..core.signals import handled
 
 
 class Stopped(KeyboardInterrupt):
-    """The run was asked to stop, and has written a checkpoint. Its argument: the number of the signal that asked."""
+    """The run has stopped after a signal and written a checkpoint. Argument: number of the signal."""
 
 
 class StopSignals:
-    """number: of the signal that has asked the run to stop, 0 so far; a second one interrupts at once."""
+    """Signals that ask a run to stop. number: of the first signal, 0 before it; a second signal interrupts at once."""
 
     number = 0
 
@@ -26,7 +26,7 @@ class StopSignals:
 
 @contextmanager
 def stop_signals() -> Iterator[StopSignals]:
-    """While in use, SIGINT and SIGTERM are noted and the chunk of steps is completed."""
+    """Context in which SIGINT and SIGTERM are only recorded, so that the chunk of steps is completed."""
     signals = StopSignals()
     with handled(signals.note, signal.SIGINT, signal.SIGTERM):
         yield signals

@@ -18,17 +18,17 @@ from .retry import Retry
 from .verdict import verdict_values
 
 V = TypeVar("V")
-# beside the measures of the end
+# in addition to the measures at the end
 _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
-INSIDE_ITSELF = 0.002  # of the points: fewer are single ones that leave the surface near an edge
-STUCK = "the particle sticks"  # why it has no rebound velocity
+INSIDE_ITSELF = 0.002  # share of the points: below it they are single points outside the surface near an edge
+STUCK = "the particle sticks"  # reason for no rebound velocity
 
 
 @dataclass(frozen=True)
 class ImpactRecord:
-    """Record of a finished impact for summary.json. values: its record in `impacts`; warnings, retries: of the run's;
-    memory_peak: bytes, of all processes."""
+    """Record of a finished impact for summary.json. values: entry in `impacts`; warnings, retries: entries in the lists of the run;
+    memory_peak: of all processes, bytes."""
 
     values: Values
     warnings: list[str]
@@ -39,12 +39,12 @@ class ImpactRecord:
 def summarise(
     impact: Impact, recorder: Recorder, ending: EndCriterion, retries: Sequence[Retry], wall: float, looped: float
 ) -> ImpactRecord:
-    """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop.
+    """The record of a finished impact. wall s: total wall time; looped s: wall time in the time loop.
 
-    A measure outside its range, one that needs the end criterion of an undecided impact, and the rebound velocity of a particle that
-    does not rebound, is None; `refused` has the reason.
+    A value is None, with a reason in `refused`, if it is outside its range, if it needs the end criterion and the impact is
+    undecided, or if it is the rebound velocity of a particle that does not rebound.
     """
-    # a coating goes on without a particle that has slid off it
+    # a coating continues without a particle that has slid off it
     is_lost = len(recorder.plan.impacts) > 1 and ending.slid_off(impact.time)
     undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
@@ -85,7 +85,7 @@ def summarise(
 
 
 def _computed(impact: Impact, recorder: Recorder) -> Values:
-    """The numbers of the computation: what it was of, in what resolution, and how well it has kept its balances."""
+    """Data of the computation: input, resolution, time steps, and errors of the balances."""
     particle, target, ledger, impact_plan = impact.particle, impact.target, impact.ledger, recorder.impact_plan
     energies = {name: value for name, value in ledger.rows.items() if name not in ("drift", "momentum_error")}
     return {
@@ -114,14 +114,14 @@ def _computed(impact: Impact, recorder: Recorder) -> Values:
 
 
 def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") -> dict[str, V | None]:
-    """The values, None for those outside their range. The reason is added to `refused`, under the key after `block`."""
+    """The values, with None for values outside their range. `refused` gets the reasons, with keys of the form block + key."""
     kept, reasons = within_range(values)
     refused |= {block + key: reason for key, reason in reasons.items()}
     return kept
 
 
 def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
-    """Warnings where the impact left the range that its models were fitted in."""
+    """Warnings about ranges of models that the impact has left, and about rims."""
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
     beyond = recorder.seen.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
@@ -146,7 +146,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
 
 
 def _molten(impact: Impact, recorder: Recorder) -> list[str]:
-    """Warnings of matter above its melting point: the law has no latent heat and no liquid."""
+    """Warnings about material above its melting point: the law has no latent heat and no melt."""
     particle, target = impact.particle, impact.target
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
     melting = np.full(particle.n, particle.law["T_m"][0]), target.laws["T_m"][target.law_of]

@@ -1,4 +1,4 @@
-"""What touches at one instant of an impact: computed once, for exposure and for bonds."""
+"""Vertices of the particle in contact at one time of an impact: computed once, for exposure and for bonds."""
 
 from functools import cached_property
 
@@ -11,7 +11,8 @@ from .domains import Domains
 
 
 class Touching:
-    """rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,): facets under them."""
+    """Vertices in contact. rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,):
+    facets under them."""
 
     def __init__(self, domains: Domains):
         self._domains = domains
@@ -26,7 +27,7 @@ class Touching:
 
     @cached_property
     def force(self) -> np.ndarray:
-        """Force (v,) N that presses on all vertices, with their shares of that on the points under them."""
+        """Normal force (v,) N on all vertices, including their shares of the force on points under them."""
         return self._domains.surface.at_vertices(self._domains.contact.normal_force)
 
     @cached_property
@@ -41,7 +42,7 @@ class Touching:
 
     @property
     def pressed(self) -> np.ndarray:
-        """Mask (k,) of `rows`: vertices that press on the target, directly or by the points under them, or have such a neighbour."""
+        """Mask (k,) of `rows`: vertices with a normal force, or with a neighbour that has one."""
         pressing, triangles = self.force > 0.0, self._domains.surface.triangles
         beside = np.zeros(len(pressing), bool)
         beside[triangles[pressing[triangles].any(axis=1)]] = True
@@ -49,20 +50,11 @@ class Touching:
 
 
 def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Flow stress (k,) Pa, slow and at its strain and temperature, of the softer of the two metals at vertices `rows` on facets."""
+    """Flow stress (k,) Pa of the softer metal at vertices `rows` (k,) on facets (k,), at slow rate and at present strain and
+    temperature."""
     surface, particle, target = domains.surface, domains.particle, domains.target
-    element = target.mesh.facet_element[facets]
-    first = np.zeros(len(rows), np.int32)
-    eps_p, T, gradient = (
-        surface.values(values)[rows]
-        for values in (particle.points.eps_p, particle.points.T, particle.points.eps_gradient)
-    )
-    own = yield_stresses(particle.law, first, eps_p, T, gradient)
-    other = yield_stresses(
-        target.laws,
-        target.law_of[element],
-        target.elements.eps_p[element],
-        target.elements.T[element],
-        target.elements.eps_gradient[element],
-    )
+    at, p, e = target.mesh.facet_element[facets], particle.points, target.elements
+    eps_p, T, gradient = (surface.values(values)[rows] for values in (p.eps_p, p.T, p.eps_gradient))
+    own = yield_stresses(particle.law, np.zeros(len(rows), np.int32), eps_p, T, gradient)
+    other = yield_stresses(target.laws, target.law_of[at], e.eps_p[at], e.T[at], e.eps_gradient[at])
     return np.minimum(own, other)

@@ -1,9 +1,9 @@
-"""Where a run has left the range its material models were fitted in: what is noted on the way, and the warnings of it.
+"""Validity of the material models in a run: extremes of each impact, and warnings about ranges of fits that it has left.
 
-Limits: strain rate, temperature and strain that the strength set of a metal is fitted at, where its source says them, else the rate of
-Hopkinson bars and nine tenths of the melting point (`plan.remarks.NEAR_MELTING`); the pressure of a shock at the particle velocity to
-which the linear fit U = c0 + s u of a metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without
-Mie-Grueneisen, the compression at which a linear equation of state is off by a twentieth.
+Limits of the strength: strain rate, temperature and strain of the data of the strength set, if its source gives them; else the
+strain rate of Hopkinson bars and nine tenths of the melting point (`plan.remarks.NEAR_MELTING`). Limit of the pressure: that of a
+shock with the largest particle velocity for which the linear fit U = c0 + s u of a Hugoniot is commonly given (Marsh 1980, LASL
+Shock Hugoniot Data); without Mie-Grueneisen, the compression at which a linear equation of state has an error of a twentieth.
 """
 
 import re
@@ -16,14 +16,14 @@ from ..physics.materials import Material
 from ..plan.remarks import BEYOND_FIT, NEAR_MELTING
 from ..ranks.distributed import DistributedParticle
 
-FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
+FITTED_VELOCITY = 2000.0  # m/s, particle velocity behind the shock
 LINEAR_ERROR = 0.05
 
 
 @dataclass
 class Extreme:
-    """Largest values of a body so far. rate: 99th percentile of the plastic strain rate, 1/s, where something flows; melting:
-    temperature over the melting point of the metal there; strain: 99th percentile of the plastic strain; compression: 1 - J."""
+    """Largest values of a body so far. rate: 99th percentile of plastic strain rates above zero, 1/s; melting: temperature over
+    melting point; strain: 99th percentile of plastic strains above zero; compression: 1 - J."""
 
     rate: float = 0.0
     melting: float = 0.0
@@ -31,7 +31,7 @@ class Extreme:
     compression: float = 0.0
 
     def note(self, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
-        """Take note of the state of all points or elements; J at points or nodes."""
+        """Include the present values of all points or elements; J at points or nodes."""
         self.rate = max(self.rate, _percentile(rate))
         self.melting = max(self.melting, float(np.max(melting, initial=0.0)))
         self.strain = max(self.strain, _percentile(eps_p))
@@ -39,7 +39,7 @@ class Extreme:
 
 
 def _percentile(values: np.ndarray) -> float:
-    """99th percentile of the values above zero, 0 without any."""
+    """99th percentile of the values above zero, 0 if there are none."""
     above = values[values > 0.0]
     return float(np.percentile(above, 99)) if len(above) else 0.0
 
@@ -52,13 +52,14 @@ class Extremes:
     target: Extreme = field(default_factory=Extreme)
 
     def note(self, particle: DistributedParticle, target: Target) -> None:
-        """Take note of the particle and of the active part of the target."""
+        """Include the present values of the particle and of the active part of the target."""
         n, m, p, e = target.active_nodes, target.active_elements, particle.points, target.elements
         self.particle.note(p.rate, p.T / particle.law["T_m"][0], p.eps_p, p.J)
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
-        """Warnings of ranges that the impact left, with their limits. impact: counted from 1; materials: of "particle" and "target"."""
+        """Warnings about ranges that the impact has left, with their limits. impact: number, from 1; materials: by "particle" and
+        "target"."""
         texts, left = [], []
         for body, kept in vars(self).items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
@@ -76,7 +77,7 @@ class Extremes:
 
 
 def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
-    """What a body reached beyond the range that the strength of its metal is fitted in, as one text, or none."""
+    """One text about the values of a body beyond the range of the fit of its strength; an empty list if there are none."""
     fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
     if kept.rate > metal.fitted_rate:
@@ -91,10 +92,10 @@ def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
 
 
 def merged(texts: list[str]) -> list[str]:
-    """The warnings of a whole run: of those that several impacts or bodies share but for the numbers the one with the largest, and
-    where else.
+    """The warnings of a whole run, without repetitions. Of warnings that differ only in numbers, impacts or bodies, the one with
+    the largest first number remains, with a note of the others.
 
-    Warnings of an impact begin with "impact N: "; all others are kept unchanged, once.
+    Warnings of an impact begin with "impact N: ". All other warnings are kept unchanged, once.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):
@@ -126,7 +127,7 @@ def _first_number(text: str) -> float:
 
 
 def greatest_compression(metal: Material, mie_gruneisen: bool) -> float:
-    """1 - J up to which the equation of state of a metal may be trusted."""
+    """Largest compression 1 - J for which the equation of state of a metal is valid."""
     if mie_gruneisen:
         return float(FITTED_VELOCITY / (metal.c0 + metal.s * FITTED_VELOCITY))  # u / U across the shock
     return float(LINEAR_ERROR / (2.0 * metal.s)) if metal.s > 0.0 else 1.0

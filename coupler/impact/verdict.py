@@ -1,4 +1,4 @@
-"""Does it stick? The verdict on the particle of an impact, and how much of the powder stayed. SI units."""
+"""The verdict on a particle: whether it sticks, and the share of the powder that stays. SI units."""
 
 import math
 from collections.abc import Sequence
@@ -12,23 +12,23 @@ from ..measures import BY_BONDS, BY_FORMULA, BY_MOTION, BY_SCENE, REBOUNDS, STIC
 from ..physics.adhesion import Adhesion
 from ..plan.planning import ImpactPlan
 
-REBOUND = 1.0  # m/s off the surface: a particle that nothing holds leaves with more
-# of the energy that bonds have dissipated: a margin below it is within the scatter of placements of points and elements, whose
-# standard deviation is at most 0.2 of it (docs/evidence/bonding.md)
+REBOUND = 1.0  # m/s: smallest velocity off the surface of a particle that leaves
+# of the energy that bonds have dissipated: a smaller margin is within the scatter due to the placement of points and elements, whose
+# standard deviation is at most 0.2 of this energy (docs/evidence/bonding.md)
 SCATTER = 0.5
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """verdict: "sticks", "rebounds" or "undecided". rests_on: the values that decide it. by: of `measures.VERDICT_BY`, what decides.
+    """The verdict "sticks", "rebounds" or "undecided", with its reasons. rests_on: values that decide; by: one of
+    `measures.VERDICT_BY`.
 
-    rebounded: what the particle of the run does by the scene's law, also where formula and bonds, or the two metals, disagree and the
-    verdict is undecided; None where the run does not show it. bonds: verdict of the computed bonds alone, "" where there are none.
-    margin_J, margin_m_s: how far the verdict is from the other one; positive where the particle sticks: the energy that its bonds
-    can take up beyond that in motion, and the velocity of the particle with this energy; or, by a criterion of velocity, the
-    energy and velocity of impact above the critical ones. Negative where it rebounds: its energy and velocity off the surface, or
-    below the critical ones. None where nothing was compared. is_close: the margin of computed bonds is within the scatter of
-    placements of points and elements.
+    rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals,
+    disagree and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" without
+    bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds: positive, the energy that they can still
+    absorb, and the velocity of the particle with this energy; or negative, energy and velocity of the particle off the surface.
+    With a criterion of velocity: energy and velocity of the impact less the critical ones. None if nothing was compared. is_close:
+    the margin of computed bonds is within the scatter due to the placement of points and elements.
     """
 
     verdict: str
@@ -42,31 +42,25 @@ class Verdict:
 
 
 def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
-    """The verdict on a particle at the end of its impact.
-
-    mass kg; upwards m/s: velocity of its centre normal to the surface; bonds: its bonds, None if nothing bonded.
-    """
+    """The verdict on a particle at the end of its impact. mass kg; upwards m/s: velocity of its centre normal to the surface;
+    bonds: of the particle, None if nothing bonded."""
     if law.in_impact:
         decided = _by_bonds(mass, upwards, bonds)
-        if (
-            bonds is not None
-            and decided.margin_J is not None
-            and abs(decided.margin_J) < SCATTER * bonds.bond.dissipated
-        ):
+        scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
+        if decided.margin_J is not None and abs(decided.margin_J) < scatter:
             words = f"{decided.rests_on}; the margin is so small that another placement of points and elements can change the verdict"
             decided = replace(decided, rests_on=words, is_close=True)
         return _with_formula(decided, impact)
     if law.kind == "tied" and law.criterion == "velocity":
         return _by_velocity(law, impact, mass, upwards)
     if law.kind == "tied":
-        return Verdict(
-            STICKS, "the scene, which ties all that touches; no bond was computed", BY_SCENE, rebounded=False
-        )
+        words = "the scene, which ties all particles that touch; no bond was computed"
+        return Verdict(STICKS, words, BY_SCENE, rebounded=False)
     return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
-    """The verdict of computed bonds, compared with that of the formula: undecided if they differ. rests_on gives both."""
+    """The verdict of computed bonds after comparison with the formula: undecided if they differ. rests_on gives both."""
     formula, bonds = impact.formula, decided.verdict
     words = formula.words(impact.towards)
     if formula.critical is None or bonds == UNDECIDED:
@@ -80,12 +74,12 @@ def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
 
 
 def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
-    """Whether a particle sticks by the scene or by its velocity, whatever it does at the end of its impact."""
+    """Whether a particle sticks by the scene or by its velocity, independent of its motion at the end of the impact."""
     return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
 def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
-    """Verdict by the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
+    """The verdict of the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
     whole = 0 if bonds is None else int(np.count_nonzero(~bonds.bond.broken))
     if bonds is None or whole == 0:
         return _unheld("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
@@ -98,9 +92,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
         return Verdict(UNDECIDED, few, BY_BONDS)
     resistance, energy = bonds.resistance, 0.5 * mass * upwards**2 + bonds.bond.stored
     if math.isinf(resistance):
-        return Verdict(
-            STICKS, f"{whole} of {len(bonds.bond)} bonds hold, which do not break", BY_BONDS, rebounded=False
-        )
+        unbreakable = f"{whole} of {len(bonds.bond)} bonds hold, which do not break"
+        return Verdict(STICKS, unbreakable, BY_BONDS, rebounded=False)
     words = f"bonds can absorb {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to break them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
@@ -110,8 +103,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """Verdict by the normal velocity over the formula's critical velocities. The ratio for the particle's own metal decides whether the
-    scene ties the particle."""
+    """The verdict of the formula, from the normal velocity over the critical velocities. The ratio for the particle's own metal
+    decides whether the scene ties the particle."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)
@@ -125,6 +118,7 @@ def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float)
 
 
 def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
+    """The verdict on a particle that no bond holds: it rebounds if it is faster than REBOUND, else it is undecided."""
     if upwards <= REBOUND:
         return Verdict(UNDECIDED, f"{reason}, and it does not move off ({upwards:.2g} m/s)", by)
     words, energy = f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2
@@ -134,14 +128,13 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 def verdict_values(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False
 ) -> Values:
-    """The part of the record of a finished impact that is its verdict.
+    """Values of the verdict in the record of a finished impact.
 
-    is_lost: whether the particle has slid over the rim of the target, whatever the scene ties. rebound_velocity_m_s: velocity of the
-    centre of mass off the target, None of a particle that does not rebound;
-    restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays, None
-    where that is undecided and no bond was computed; verdict_by_bonds: of the computed bonds alone;
-    bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds; bond_energy_J: to tear all that bonded, in tension,
-    None where a bond does not break.
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case. rebound_velocity_m_s: velocity of the
+    centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact
+    over velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
+    verdict_by_bonds: of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that still
+    holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
     decided = lost if is_lost else judge(law, impact, mass, upwards, bonds)
@@ -167,9 +160,10 @@ def verdict_values(
 
 
 def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
-    """Mass that stayed over the mass of all particles, from the records of their impacts: with no undecided one, and with all.
+    """Smallest and largest deposition efficiency, mass that stayed over mass of all particles, from the records of their impacts.
+    Undecided particles count as lost in the first, as staying in the second.
 
-    detached_mass_kg of a record: what of its splat has come off; an undecided one that has come off as a whole is lost.
+    detached_mass_kg of a record: mass of its splat that has come off, which is lost in both.
     """
     mass = sum(record["particle_mass_kg"] for record in records)
     decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}

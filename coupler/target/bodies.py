@@ -1,4 +1,4 @@
-"""The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
+"""The target of a run: substrate and finished splats in one finite-element domain, with contact and bonds between them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -14,8 +14,7 @@ from ..contact.overlap import lying_inside
 from ..contact.particle_bonds import BondedPoints
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
 from ..core.arrays import SpringTable, occurring
-from ..core.records import Shape, check_indices
-from ..errors import CheckpointError
+from ..core.records import Shape, check_indices, copied, unfit
 from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
 from ..geometry.graph import connected_parts
@@ -24,14 +23,15 @@ from ..physics.constitutive import LAW
 from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, new_numbers, select
 from .placing import NEAR, placed_on
 
-# Spacings. A bonded node that lies deeper than the first in its partner is checked. Deeper than the second the contact presses with
-# 0.06 K, about the theoretical strength G / 2 pi: no bond beside the node bears that. Deeper than the third it came through no fold.
+# Spacings. A bonded node deeper than FOLDED in another body is checked. For a node deeper than PRESSED the contact pressure exceeds
+# 0.06 K, about the theoretical strength G / 2 pi: no bond beside the node can resist it. A node deeper than DEEPEST has not come
+# through a fold.
 FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 
 @dataclass(frozen=True)
 class BodiesState:
-    """State of substrate and splats, with bonds and contact between them. placed (n,3) m, body (m,), impact, buried (b,): see
+    """State of substrate and splats, with bonds and contact between them. placed (n,3) m, body (m,), impact, buried (b,): as in
     `Bodies`."""
 
     mesh: TetMesh
@@ -47,9 +47,10 @@ class BodiesState:
 
 @dataclass
 class Bodies:
-    """Substrate (body 0) and splats. target: their common domain; body (m,): the body of each element; impact (bodies,): the number of
-    the impact that made each body, from 1 on, 0 for the substrate; fixed, absorbing: names of facet sets; bond, contact: between
-    bodies, None while there is only the substrate."""
+    """Substrate (body 0) and splats. target: their common domain; body (m,): body of each element; fixed, absorbing: names of facet
+    sets; bond, contact: between bodies, None while there is only the substrate; buried: facets that nothing can reach; placed (n,3)
+    m: positions in which the contact was set up; impact (bodies,): number of the impact that made each body, from 1; 0 for the
+    substrate."""
 
     target: Target
     body: np.ndarray
@@ -57,15 +58,15 @@ class Bodies:
     absorbing: tuple[str, ...]
     friction: float
     bond: Bond | None = None
-    buried: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # facets that nothing can reach
-    placed: np.ndarray | None = None  # positions (n,3) m at which the contact was set up
+    buried: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    placed: np.ndarray | None = None
     impact: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
     _contact: BodyContact | None = None
-    _past: ContactPast | None = None  # what the contact goes on from, where it has not been asked for
+    _past: ContactPast | None = None  # from which a contact continues that has not been set up yet
 
     @property
     def contact(self) -> BodyContact | None:
-        """The contact between the bodies; it is set up when it is first asked for."""
+        """The contact between the bodies. It is set up at its first use."""
         if self._contact is None and self._past is not None and self.placed is not None:
             self._contact = BodyContact(self.surfaces, self.placed, self.target.laws["K"].tolist(), self.friction)
             self._contact.continue_from(self._past)
@@ -87,14 +88,14 @@ class Bodies:
 
     @property
     def is_flat(self) -> bool:
-        """Whether there is a substrate only, whose surface was made flat."""
+        """Whether there is only a substrate, and its undeformed surface is flat."""
         mesh = self.target.mesh
         return self.count == 1 and not np.ptp(mesh.points[mesh.facets[mesh.sets["top"]], 2])
 
     def reachable(self) -> np.ndarray:
-        """Facets (ids) that a particle can hit: the substrate's top and sides and the splats', less what is buried between them.
+        """Numbers of the facets that a particle can hit: top and sides of the substrate and surfaces of splats, without buried facets.
 
-        Without the sides a point that slides over the rim would lie behind the top for good, and be pulled back by it.
+        The sides are included: otherwise a point that slides over the rim would lie behind the top, which would pull it back.
         """
         sets = self.target.mesh.sets
         ids = np.concatenate(
@@ -105,17 +106,17 @@ class Bodies:
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
     def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
-        """Find what can touch before surfaces have moved `travel` m, slow ones less where that is by_speed, among what waves reach
-        in `time` s; give the heat of friction and fracture to the elements."""
+        """Find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach in `time` s, and
+        release the heat of friction and fracture. by_speed: slow surfaces move only their share of `travel`."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.nodes.v if by_speed else None
             self.contact.search(self.target.nodes.x, travel, self.bond, self.target.active_after(time), v)
 
     def release_heat(self) -> None:
-        """Give the heat of friction and fracture since the last call to the elements."""
+        """Heat the elements by the friction and fracture since the last call."""
         if self.bond is not None:
-            heat = 0.5 * self.bond.heat()  # of each side
+            heat = 0.5 * self.bond.heat()  # half for each side
             if heat.any():
                 self.target.warm_around(self.bond.nodes, heat)
                 self.target.warm_around(self.bond.triangles, np.repeat(heat / 3.0, 3))
@@ -123,7 +124,7 @@ class Bodies:
             self.target.warm(*self._contact.heat())
 
     def forces(self, dt: float) -> None:
-        """Add the forces of bonds and contact between bodies at this instant to the target's external forces."""
+        """Add the present forces of bonds and contact between bodies to the external forces of the target."""
         t = self.target
         if self.contact is not None:
             self.contact.forces(dt, t.nodes.x, t.nodes.v, t.f_ext, t.active_nodes)
@@ -131,19 +132,19 @@ class Bodies:
             self.bond.forces(t.nodes.x, t.f_ext, active=t.active_nodes)
 
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
-        """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
+        """Stable time step (s) of the target with the springs between its bodies. enough, ahead: see `Target.stable_dt`."""
         t = self.target
         dt = t.stable_dt(enough, ahead, self.bond)
         return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.most_nodes)
 
     def springs(self) -> list[SpringTable]:
-        """Tables of the springs of bonds and contact between the bodies. Call it after a search."""
+        """Tables of the springs of bonds and contact between the bodies. Call `search` first."""
         pairs = self.contact.pairs if self.contact is not None else None
         return [each.springs() for each in (pairs, self.bond) if each is not None]
 
     @property
     def energy(self) -> float:
-        """Energy that contact and bonds between bodies store and have dissipated, J."""
+        """Stored and dissipated energy of contact and bonds between bodies, J."""
         c, b = self.contact, self.bond
         energy = c.energy + c.pairs.sums.lost if c is not None else 0.0
         return energy + (b.work if b is not None else 0.0)
@@ -151,20 +152,18 @@ class Bodies:
     def state(self) -> BodiesState:
         """State from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
         return BodiesState(
-            self.target.mesh, self.target.state(), self.contact.state() if self.contact is not None else None,
-            self.bond.state() if self.bond is not None else None,
-            self.placed, self.target.laws, self.body, self.buried, self.impact,
+            self.target.mesh, copied(self.target), copied(self.contact), copied(self.bond), self.placed, self.target.laws, self.body,
+            self.buried, self.impact,
         )  # fmt: skip
 
     @classmethod
     def from_state(
         cls, state: BodiesState, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float, conduction: bool
     ) -> "Bodies":
-        """Bodies made from a `state`. Raises CheckpointError where its parts do not fit each other."""
-        mesh = state.mesh
+        """Bodies from a `state`. Raises CheckpointError where its parts do not fit each other."""
         _check(state)
         T = state.target.elements.T
-        target = Target(mesh, state.laws, T, state.body, fixed, absorbing, conduction=conduction)
+        target = Target(state.mesh, state.laws, T, state.body, fixed, absorbing, conduction=conduction)
         target.restore(state.target)
         bodies = cls(
             target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed, impact=state.impact
@@ -173,27 +172,28 @@ class Bodies:
             bodies._past = ContactPast(new_history(len(state.placed)))
             if (contact := bodies.contact) is not None:
                 contact.restore(state.contact)
-        if state.bond is not None:
-            bodies.bond = state.bond.state()
+        bodies.bond = copied(state.bond)
         return bodies
 
     # ---- between impacts -----------------------------------------------------------------------------------------
 
     def separate(self, which: Iterable[int]) -> None:
-        """Prepare bodies at rest that lie in each other, one of each two among `which`, to be pushed apart (`reduce_overlap`).
+        """Prepare bodies at rest that overlap, in pairs with one body of `which`, for `reduce_overlap`, which pushes them apart.
 
-        Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
-        by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
-        Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can keep
-        the body on it, with more than the theoretical strength of the metal: they begin anew, without a force. A bond of a small area,
-        as of a node between crushed facets, can be too soft for its node: it becomes so stiff that what presses the node now
-        presses it FOLDED spacings deep, or as stiff as bonds usually are.
+        Nodes that lie in another body without a contact get one. Three kinds of bonds change:
+
+        - A node lies in the body to which it is bonded, but the compression of its bond is less than half of its depth: the surface has
+          folded at the bond's triangle. The bond moves to the facet through which the node has entered.
+        - The contact presses a node out of a body, and nodes of this body are bonded to the triangles around it. These bonds could hold
+          the body there with more than the theoretical strength of the metal: they start again without force.
+        - A bond of small area, as of a node between crushed facets, is too soft for its node. Its stiffness is increased: the present
+          force then compresses it by FOLDED spacings. The limit is the median stiffness of all bonds.
         """
         if self.contact is None:
             return
         surfaces, x, bond = self.surfaces, self.target.nodes.x, self.bond
         depth = np.zeros(len(x))
-        if bond is not None:  # bodies on both sides of the bonds: to be moved does not change them
+        if bond is not None:  # bodies on both sides of the bonds, which do not change when bonds move
             node_of, triangle_of = (surfaces.body_of_node[ends] for ends in (bond.nodes, bond.triangles[:, 0]))
         for body, nodes, deep, facets in lying_inside(surfaces, x, which):
             np.maximum.at(depth, nodes, deep)
@@ -205,7 +205,7 @@ class Bodies:
             pins = pins[np.isin(bond.triangles[pins], pressed).any(axis=1)]
             bond.move(x, pins, bond.triangles[pins])
             folded = nodes[(deep > FOLDED * spacing) & (deep < DEEPEST * spacing)]
-            # of a loose bond the contact resists compression
+            # without loose bonds: the contact resists their compression
             rows = np.flatnonzero((triangle_of == body) & ~bond.loose)
             rows = rows[np.isin(bond.nodes[rows], folded)]
             row = np.searchsorted(nodes, bond.nodes[rows])
@@ -217,7 +217,7 @@ class Bodies:
         self.contact.ignore_depth(depth)
 
     def reduce_overlap(self, share: float) -> None:
-        """Reduce the depths that contacts ignore, and the rest depths of bonds that `separate` has moved, to this share of them."""
+        """Multiply the ignored depths of contacts, and the negative gaps of bonds that `separate` has moved, by `share`."""
         for each in (self.contact, self.bond):
             if each is not None:
                 each.reduce_overlap(share)
@@ -226,12 +226,12 @@ class Bodies:
         self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: Point, ratio: float | None, impact: int,
         bonded: BondedPoints | None = None,
     ) -> "Bodies":  # fmt: skip
-        """These bodies and the finished splats of an impact, bonded where `adhesion` says, numbered outwards from origin (m). size: of
-        elements, m; ratio: velocity of the impact over the critical one; bonded: where the impact has left it bonded, with the laws
-        and damage there, where bonds act in the impact (`Adhesion.in_impact`).
+        """These bodies and the finished splats of an impact, bonded by `adhesion`, numbered outwards from origin (m). size m: of
+        elements; ratio: velocity of the impact over the critical one; impact: its number; bonded: points bonded at the end of the
+        impact, if bonds act in the impact (`Adhesion.in_impact`).
 
-        The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
-        equilibrium: see `equilibrium.settle`. Raises SolverError when a splat cannot be fitted.
+        The surfaces of the splats are fitted to those under them, so that contact starts without force. The result is not yet in
+        equilibrium (`equilibrium.settle`). Raises SolverError when a splat cannot be fitted.
         """
         self.release_heat()
         fitted = [placed_on(splat, self.target, self.body, size) for splat in splats]
@@ -266,15 +266,15 @@ class Bodies:
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
-        """The same bodies, numbered outwards from the nearest of these points, in shells of this thickness (m, `merge`); only what is
-        near the points is active."""
+        """The same bodies, numbered outwards from the nearest of the points `origins`, in shells of thickness `shell` (m, `merge`).
+        Only elements near these points are active."""
         self.release_heat()
         domain, rank = merge([domain_now(self.target, self.body)], *origins, shell=shell)
         return self.with_domain(domain, rank, self.buried)
 
     def with_domain(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
-        """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 of a removed node;
-        buried: facets of the new domain that nothing can reach. The bond of these bodies is renumbered."""
+        """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 for a removed node;
+        buried: facets of the new domain that nothing can reach. The bond of these bodies is moved to the result and renumbered."""
         new = self.remade(domain)
         if self.bond is not None:
             self.bond.renumber(rank)
@@ -284,9 +284,9 @@ class Bodies:
         return new
 
     def attached(self) -> np.ndarray:
-        """Mask (bodies,) of the bodies from which a path of unbroken bonds leads to the substrate.
+        """Mask (bodies,) of the bodies that are connected to the substrate by unbroken bonds, directly or through other bodies.
 
-        Only bonds count: mechanical interlocking of splats is not modelled.
+        Mechanical interlocking of splats is not modelled.
         """
         pairs = np.zeros((2, 0), np.int64)
         if self.bond is not None:
@@ -297,7 +297,7 @@ class Bodies:
         return np.asarray(part == part[0])
 
     def without(self, gone: np.ndarray, size: float) -> "Bodies":
-        """These bodies without the bodies of a mask (bodies,) and their contact and bonds. size: of the splats' elements, m.
+        """These bodies without the bodies of the mask `gone` (bodies,) and their contact and bonds. size m: of the splats' elements.
 
         The result is not in equilibrium. Facets that the removed bodies covered become reachable again.
         """
@@ -321,8 +321,8 @@ class Bodies:
         return new
 
     def _around(self, gone: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mask (bodies,) of those that may cover what the bodies `gone` (g,) may touch, within reach m of them, and ids of the buried
-        facets there."""
+        """Mask (bodies,) of the bodies that can cover a facet within `reach` m of the bodies `gone` (g,), and the buried facets
+        there."""
         low, high = self.surfaces.boxes(self.target.nodes.x)
         is_near, facets = np.zeros(self.count, bool), [self.buried[:0]]
         for body in gone:
@@ -332,7 +332,7 @@ class Bodies:
         return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
-        """Bodies of a changed domain; their ledger continues from the ledger of these bodies."""
+        """New bodies on a changed domain. Their energy balance continues from the one of these bodies."""
         target = Target(
             domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
@@ -341,39 +341,27 @@ class Bodies:
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
     def touch(self, past: ContactPast | None = None) -> None:
-        """Set up the contact between bodies in their present positions; it continues from the `past` of another contact."""
+        """Set up the contact between bodies in their present positions. It continues from the `past` of another contact."""
         self.placed = self.target.nodes.x.copy()
         self._contact, self._past = None, past or ContactPast(new_history(len(self.placed)))
 
 
 def _check(state: BodiesState) -> None:
-    """Raise CheckpointError where arrays have other lengths than the mesh, or refer to rows that do not exist."""
+    """Raise CheckpointError where lengths of arrays do not fit the mesh, or indices refer to rows that do not exist."""
     mesh, n, m = state.mesh, len(state.mesh.points), len(state.mesh.conn)
     facets, placed = len(mesh.facets), [] if state.placed is None else [state.placed]
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
     by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
     if len(state.impact) != len(state.laws):
-        raise CheckpointError(
-            "the checkpoint does not fit: it does not name the impact of each body;"
-            " start again with coldspray run --force"
-        )
+        raise unfit("it does not give the impact of each body")
     fits = all(len(a) == n for a in by_node) and all(len(a) == m for a in by_element)
     if not fits or len(mesh.facet_element) != facets:
-        raise CheckpointError(
-            "the checkpoint does not fit: mesh and fields of the target have different lengths;"
-            " start again with coldspray run --force"
-        )
+        raise unfit("mesh and fields of the target have different lengths")
     if not {"top", "bottom", "sides"} <= set(mesh.sets):
-        raise CheckpointError(
-            "the checkpoint does not fit: the mesh lacks the faces of the substrate;"
-            " start again with coldspray run --force"
-        )
+        raise unfit("the mesh lacks the faces of the substrate")
     for ids in mesh.sets.values():
         if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
-            raise CheckpointError(
-                "the checkpoint does not fit: a face of the mesh refers to facets that do not exist;"
-                " start again with coldspray run --force"
-            )
+            raise unfit("a face of the mesh refers to facets that do not exist")
     for record in (mesh, state, *([] if state.bond is None else [state.bond])):
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 
@@ -381,7 +369,8 @@ def _check(state: BodiesState) -> None:
 def _bonded(
     contact_pairs: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
 ) -> np.ndarray:
-    """Which nodes of an interface the scene's criterion bonds; of both sides the larger strain and pressure counts."""
+    """Mask (n,) of the nodes of an interface that bond by the criterion of the scene. The larger strain and pressure of both sides
+    count."""
     strain = np.maximum(*contact_pairs.behind(surfaces, target.elements.eps_p))
     pressure = np.maximum(*contact_pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
     return adhesion.bonded(len(contact_pairs.nodes), strain, pressure, ratio)
@@ -390,7 +379,7 @@ def _bonded(
 def _taken_over(
     bonded: BondedPoints, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
-    """Bonds of an interface (n rows) with the laws and the damage of the bonded points `row` (n,)."""
+    """Bonds at an interface (n rows) with the laws and the damage of the bonded points `row` (n,)."""
     (strength, shear_strength), (energy, shear_energy) = bonded.strength[row].T, bonded.energy[row].T
     law = {"strength": strength, "energy": energy, "shear_strength": shear_strength, "shear_energy": shear_energy}
     bond = Bond.between(where, surfaces, x, stiffness, **law)
@@ -401,11 +390,11 @@ def _taken_over(
 def _covered(
     contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, near: tuple[int, ...], tolerance: float
 ) -> np.ndarray:
-    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Of a body, and of those before
-    it that are near (`earlier_neighbours`).
+    """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`): all nodes of the facet and of
+    its neighbours are in contact.
 
-    Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet
-    and get a false penetration.
+    Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet and
+    get a false penetration.
     """
     covered = []
     for side, others in ((body, None), *((b, (body,)) for b in near)):

@@ -1,8 +1,9 @@
-"""An impact on its own cut of the target: the part of all bodies about its point of impact, as bodies of their own, and put back.
+"""Sub-domains of the target: an impact is computed on the part of the bodies around its point of impact, which is then put back.
 
-A cut has the elements with a node within a radius of the point of impact, whole splats, and a rim round them. The window of the
-impact (`fe.window`) has the same radius: its edge is fixed and the rim does not move, so that inside the cut the impact is that on all
-bodies, number by number. Nothing outside the radius changes; cuts whose spheres lie apart by more than an element are independent.
+A sub-domain contains the elements with a node within a radius of the point of impact, whole splats, and a rim around them. The
+window of the impact (`fe.window`) has the same radius: nodes at its edge and in the rim do not move, so that the impact has the
+same numbers as in the full domain. Nothing outside the radius changes. Sub-domains whose spheres are more than an element apart are
+independent.
 """
 
 from collections.abc import Sequence
@@ -23,14 +24,14 @@ from ..geometry.triangles import edges
 from .bodies import Bodies
 from .domain import SPLAT, Point, Selection, domain_now, merge, select
 
-ROUNDS = 20  # at most, to make the surface of a cut sound
+ROUNDS = 20  # at most, to remove pinched edges from the surface of a sub-domain
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
 class Cut:
     """Record of a sub-domain. part: its domain and indices; nodes, elements: indices in the full domain that its impact can change;
-    balance, sums, bonds: those of the target, of its contact and of its bonds (`_energies`) when it was made."""
+    balance, sums, bonds: energies of its target, contact and bonds (`_energies`) before the impact."""
 
     part: Selection
     nodes: np.ndarray
@@ -41,8 +42,8 @@ class Cut:
 
 
 def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
-    """The sub-domain within `radius` m of origin (m), with its rim, as bodies numbered outwards from there. The full domain does not
-    change, except that its elements get the pending heat of friction."""
+    """The sub-domain within `radius` m of origin (m), with its rim, as bodies numbered outwards from there. The full domain does
+    not change, except that its elements get the pending heat of friction."""
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.nodes.x
@@ -51,7 +52,8 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
     inside = reach < radius
     touched = np.zeros(len(x), bool)
     touched[conn[inside]] = True
-    # the rim has all other nodes of a bond or a contact with a node inside, and all elements round the nodes as near as any that moves
+    # the rim contains all nodes with a bond to, or a contact with, a node inside, and all elements around nodes as near as any
+    # moving node
     facets = x[t.mesh.facets[touched[t.mesh.facets].any(axis=1)]]
     longest = float(np.linalg.norm(facets - np.roll(facets, 1, axis=1), axis=2).max(initial=0.0))
     rim = max(1.5 * longest, float(distance[touched].max(initial=0.0)) - radius)
@@ -59,7 +61,7 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
     splats = np.zeros(whole.count, bool)
     splats[whole.body[chosen]] = True
     splats[0] = False
-    chosen |= splats[whole.body]  # the stiffness of a splat's contact is that of its whole surface
+    chosen |= splats[whole.body]  # whole splats: the contact stiffness depends on the whole surface
     chosen = _without_pinches(conn, chosen)
     selected = select(domain_now(t, whole.body), chosen)
     selected.domain.nodes.node_number[:] = selected.nodes
@@ -82,8 +84,8 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
 
 
 def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The chosen elements (m,) bool and those around edges that more than two triangles of their surface have: rays need to know
-    what is inside."""
+    """Mask (m,) of the chosen elements and of elements around pinched edges, which belong to more than two triangles of their
+    surface: a ray needs a surface with a unique inside."""
     n = int(conn.max()) + 1
     for _ in range(ROUNDS):
         a, b = edges(boundary_faces(conn[chosen])[0]).astype(np.int64).T
@@ -97,11 +99,11 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
-    """The full domain with each computed part in place of its sub-domain. No node may be modified by two parts. New splats are numbered
-    after existing bodies, in the order of parts; existing numbers do not change."""
+    """The full domain with each computed part in place of its sub-domain. No node may be modified by two parts. New splats are
+    numbered after existing bodies, in the order of parts; existing numbers do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
-    numbers: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
+    numbers: list[tuple[np.ndarray, np.ndarray]] = []  # of the nodes and facets of each part in the new full domain
     for cut, part in parts:
         part.release_heat()
         now = domain_now(part.target, part.body)
@@ -126,7 +128,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, numbers, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
     new.target.balance += sum((part.target.balance - cut.balance for cut, part in parts), Balance())
-    changed_parts = []  # with masks of each part's nodes: those that its impact can change
+    changed_parts = []  # with the mask of those nodes of each part that its impact can change
     for (cut, part), (node, _) in zip(parts, numbers, strict=True):
         changed = np.zeros(len(new.target.nodes.x), bool)
         changed[cut.nodes] = changed[len(whole.target.nodes.x) :] = True
@@ -145,21 +147,22 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
 
 
 def _sums(bodies: Bodies) -> ContactSums:
-    """Sums of the contact between bodies so far."""
+    """Energy sums of the contact between bodies."""
     past = bodies.past()
     return ContactSums() if past is None else past.sums
 
 
 def _energies(bond: Bond | None) -> np.ndarray:
-    """Energies (2,) J that bonds store and have dissipated."""
+    """Stored and dissipated energy (2,) J of bonds."""
     return np.array((0.0, 0.0) if bond is None else (bond.stored, bond.dissipated))
 
 
 def _bonds(
     whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], stored: float, dissipated: float
 ) -> Bond | None:
-    """Bonds of the whole that no impact can change, and those of the parts that theirs can. parts: with the number of each node (p,)
-    in the whole, and the mask of those that its impact can change. stored, dissipated: J, in the parts' impacts."""
+    """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with
+    the number (p,) of its nodes in the full domain, and the mask of the nodes that its impact can change; stored, dissipated J:
+    energies of bonds in the impacts of the parts."""
     bonds = list[Bond]()
     if (bond := whole.bond) is not None:
         stored, dissipated = stored + bond.stored, dissipated + bond.dissipated
@@ -180,11 +183,12 @@ def _bonds(
 
 
 def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Mask (k,) of the bonds between nodes (k,) and triangles (k,3) with a node of the mask `which`."""
     return which[nodes] | which[triangles].any(axis=1)
 
 
 def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
-    """Put into the rows `ids` of a record those rows of that of a part that have these numbers."""
+    """Overwrite the rows `ids` of a record by the rows of `part` with these numbers. number: of each row of the part."""
     row = np.full(int(number.max()) + 1, -1)
     kept = np.flatnonzero(number >= 0)
     row[number[kept]] = kept

@@ -1,8 +1,8 @@
-"""A body joins the target: its mesh in its deformed position, its state, and one numbering for all.
+"""Domains of the target: a joining body with its state, several bodies with one numbering, and a part of a domain.
 
-The body is meshed in its deformed position. Its reference volumes are V / J, so that the volume ratio, and with it the pressure, is
-there from the first step; the reference shape of each tetrahedron is its present one, shrunk by J^(1/3). What the volume of the mesh
-lacks or has too much (under a percent) its density makes up for, so that the mass is exact and no pressure arises.
+A joining body is meshed in its deformed position. Its reference volumes are V / J: so it has the right volume ratio and pressure
+from the first step. The reference shape of each tetrahedron is the present one, scaled by J^(-1/3). The density corrects the small
+error of the mesh volume (below one percent): so the mass is exact, and there is no additional pressure.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ from ..physics.metal import MetalState, carried
 
 Point = tuple[float, float, float]
 R = TypeVar("R")
-SPLAT = "splat"  # name of the facets of body b: SPLATb
+SPLAT = "splat"  # the facet set of body 1 has the name "splat1", and so on
 
 
 @dataclass(frozen=True)
 class BodyState(MetalState):
-    """A body that will join the target: points (n,3) m and tets (m,4); in elements stress (m,6) Pa Voigt xx yy zz yz xz xy, J (m,) and
-    the state of the metal; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
+    """A body that joins the target. points (n,3) m; tets (m,4); stress (m,6) Pa: Voigt xx yy zz yz xz xy; J (m,); state of the
+    metal (m,); velocity (n,3) m/s; energy (n,) J per reference m3; mass kg; law (1,): LAW record."""
 
     points: np.ndarray
     tets: np.ndarray
@@ -44,7 +44,7 @@ class BodyState(MetalState):
 
 @dataclass(frozen=True)
 class Domain:
-    """Several bodies as one: mesh, state of nodes and elements, body (m,) of each element, laws (bodies,)."""
+    """One or several bodies in one mesh: state of nodes and elements; body (m,): body of each element; laws (bodies,): LAW records."""
 
     mesh: TetMesh
     nodes: NodeState
@@ -54,7 +54,7 @@ class Domain:
 
 
 def domain_of(body: BodyState, name: str) -> Domain:
-    """A joining body as a domain of its own. Raises SolverError for an empty tetrahedron."""
+    """The domain of a joining body alone. name: of its facet set. Raises SolverError for an empty tetrahedron."""
     mesh, node, element = prepare_ordered(body.points, body.tets)
     J = body.J[element]
     V = mesh.V0
@@ -82,11 +82,12 @@ def domain_of(body: BodyState, name: str) -> Domain:
 
 
 def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tuple[Domain, np.ndarray]:
-    """One domain of several, numbered outwards from the nearest of the origins (m) as the bodies lie now, one after another without
-    one; bodies and laws follow one another.
+    """One domain from several, numbered outwards from the nearest of the origins (m) in present positions; without origins the
+    order of nodes and elements does not change. Bodies and laws follow in the order of the domains.
 
-    shell: m; with one, distances are those of the inner faces of shells so thick, and numbers follow a curve inside each: what lies
-    together in space does so in memory. Returns the domain, and the new number of each node (n,) in the order of the domains given.
+    shell m: thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and numbers in a shell
+    follow a space-filling curve: neighbours in space are neighbours in memory. Returns the domain, and the new number (n,) of each
+    node in the order of `domains`.
     """
     nodes = np.cumsum([0, *(len(d.mesh.points) for d in domains)])
     elements = np.cumsum([0, *(len(d.mesh.conn) for d in domains)])
@@ -130,22 +131,22 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
 
 
 def new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
-    """New number (n,) of each of n rows if only the rows `kept` stay, -1 of removed rows."""
+    """New number (n,) of each of n rows if only the rows `kept` remain, in their order; -1 for removed rows."""
     number = np.full(n, -1)
     number[kept] = np.arange(len(kept))
     return number
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
-    """The present state of a target as a domain, which shares the target's arrays: read it before the next step. body (m,) of each
+    """The present state of a target as a domain that shares its arrays: use it before the next step. body (m,): body of each
     element."""
     return Domain(target.mesh, target.nodes, target.elements, body, target.laws)
 
 
 @dataclass(frozen=True)
 class Selection:
-    """A part of a domain as a domain of its own. nodes, elements, facets, bodies: indices in the original domain, ascending. The faces
-    of the cut come after the facets, in the set "cut"."""
+    """A part of a domain, as a new domain. nodes, elements, facets, bodies: indices in the original domain, ascending. Its new
+    faces follow after the facets, in the set "cut"."""
 
     domain: Domain
     nodes: np.ndarray
@@ -155,10 +156,10 @@ class Selection:
 
 
 def select(domain: Domain, chosen: np.ndarray) -> Selection:
-    """The elements chosen (m,) bool of a domain.
+    """The part of a domain with the elements of the mask `chosen` (m,).
 
-    Nodes keep their volumes, the shares of elements outside included. Facet sets of bodies after the first, "splat1" and so on, follow
-    the bodies.
+    Nodes keep their volumes, including shares of elements outside. Names of the facet sets "splat1" and so on follow the new
+    numbers of the bodies.
     """
     mesh, body = domain.mesh, domain.body
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])

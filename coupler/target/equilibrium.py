@@ -1,15 +1,15 @@
-"""Coming to rest between impacts: dynamic relaxation, with masses and damping made for it and for nothing else.
+"""Equilibrium of the bodies between impacts, by dynamic relaxation with its own masses and damping.
 
-Real masses would make a handful of crushed elements dictate the step, and hundreds of them the way to equilibrium. Here every
-element is given the mass with which it just bears the same step, so that the number of steps does not follow from their sizes, and
-a coarse grid moves whole regions at once (`fe.coarse`), so that it does not follow from how many elements there are across the
-bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh quotient of forces and velocities says in each step
-(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). Where more accuracy is asked for
-(`Aim`) it ends as that of the slowest motion: thin rims of splats are slower than all that the grid can have. Positions, stresses,
-plastic flow, bonds, contact and friction go their way as in the explicit solver.
+With real masses a few crushed elements would limit the time step. Here each element gets the mass with which its time step equals
+that of all others: the number of steps does not depend on element sizes. A coarse grid moves whole regions at once (`fe.coarse`):
+the number of steps does not depend on the number of elements across the bodies. The damping is critical for the lowest frequency in
+motion, which a Rayleigh quotient of forces and velocities gives in each step (Underwood 1983, in Belytschko & Hughes, Computational
+methods for transient analysis, section 5.5). For a higher accuracy (`Aim`) it is later limited to that of the slowest motion: thin
+rims of splats are slower than any motion of the grid. Stresses, plastic flow, bonds, contact and friction are computed as in the
+explicit solver.
 """
 
-from functools import partial
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,27 +18,27 @@ from ..core import safety
 from ..core.loops import PARTS
 from ..core.threads import share, together
 from ..fe.coarse import CoarseGrid
-from ..fe.explicit import Target
 from ..fe.relaxed import Relaxation
 from ..fe.stability import HighestFrequency
 from ..physics import motion
 from .bodies import Bodies
 
-RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
-SEARCH_EVERY = 10
-WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
-LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
-# About the critical one of the slowest motion. More slows that one down; all faster ones decay as fast with this.
+RELAX_STEP = 1e-10  # s: about a real step, so that strain rates are about those of the real motion
+SEARCH_EVERY = 10  # steps
+WAY = 0.1  # edges of the smallest element: motion of surfaces between two searches in addition to that by their velocities
+LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical damping of the step itself
+# About the critical damping of the slowest motion: more damping slows it down, and faster motions decay equally fast with this.
 SLOW_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most
-BACK = 20  # steps in which fixed nodes are moved, and bodies that lie in each other are pushed apart
-LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
-RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
+BACK = 20  # steps in which fixed nodes are moved and overlapping bodies are pushed apart
+LOCAL = 0.5  # largest share of the elements in a local equilibrium: a larger part takes about as long as all elements
+RELEASE_TIME = 5e-9  # s after joining in which the released kinetic energy is measured, for particles of 25 um
 
 
 class Aim(NamedTuple):
-    """What an equilibrium is for. left: of the kinetic energy of the impacts before, what may be left to be set free; ramp: steps in
-    which pending heat becomes pressure, as in slow cooling; quick: steps before the damping is SLOW_DAMPING at most."""
+    """Accuracy of an equilibrium. left: largest remaining energy over the kinetic energy of the impacts before; ramp: number of
+    steps in which pending heat becomes pressure, as in slow cooling; quick: number of steps before the damping is limited to
+    SLOW_DAMPING."""
 
     left: float
     ramp: int
@@ -47,31 +47,18 @@ class Aim(NamedTuple):
 
 RELAXED = 2e-5
 JOINED = Aim(RELAXED, 0, RELAX_STEPS)
-# Before a pause. Long waves that set out from the rims of cuts must not swing: they would make metal flow.
+# Before a pause. Long waves from the rims of sub-domains must not oscillate: they would cause plastic flow.
 BALANCED = Aim(4e-6, 0, BACK)
 COOLED = Aim(4e-7, 40, 0)  # after a pause: stresses within a few MPa
 
 
+@dataclass
 class Known:
-    """Data that one equilibrium passes to the next of the same bodies: the coarse grid and the fastest motion of the elements."""
+    """Data that one equilibrium passes to the next one of the same bodies. highest: power iteration with the fastest mode of the
+    elements; grid: number of active elements, and their coarse grid."""
 
-    def __init__(self) -> None:
-        self._highest: HighestFrequency | None = None
-        self._grid: tuple[int, CoarseGrid] | None = None
-
-    def highest(self, t: Target) -> HighestFrequency:
-        """Highest squared frequency of the elements; the iteration starts from the motion found before."""
-        if self._highest is None:
-            self._highest = HighestFrequency(len(t.nodes.x), len(t.mesh.conn))
-        return self._highest
-
-    def grid(self, bodies: Bodies, relaxation: Relaxation) -> CoarseGrid:
-        """Coarse grid of the active elements and of the springs between them; the previous grid if the elements are the same."""
-        t = bodies.target
-        if self._grid is None or self._grid[0] != t.active_elements:
-            grid = CoarseGrid(t, relaxation.free, relaxation.mass, relaxation.dt, bodies.springs())
-            self._grid = t.active_elements, grid
-        return self._grid[1]
+    highest: HighestFrequency | None = None
+    grid: tuple[int, CoarseGrid] | None = None
 
 
 def settle(
@@ -83,13 +70,14 @@ def settle(
     known: Known | None = None,
     back: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, float]:
-    """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
+    """Bring all bodies to rest in equilibrium. All elements are active during it; those beyond the wave front are inactive after it.
 
-    kinetic_0: J of the impacts before, the scale of the remaining energy; release_time: s of real motion, in which the energy released
-    afterwards is measured. radius: m from the start of the numbering, beyond which no node moves, unless this holds more than LOCAL of
-    the elements; pending heat becomes pressure there too. known: of an equilibrium of these bodies before, and for the next. back:
-    fixed nodes (k,), and by how much (k,3) m they are moved in this time. This time is not part of the simulated time: no heat is
-    conducted during it. Returns what it took and what was left. Raises SolverError when a tetrahedron inverts.
+    kinetic_0 J: kinetic energy of the impacts before, the scale of the remaining energy; release_time s: real motion after the
+    equilibrium, in which the released energy is measured; radius m: distance from the start of the numbering beyond which no node
+    moves, unless it includes more than LOCAL of the elements; pending heat becomes pressure there too; known: from an earlier
+    equilibrium of these bodies, and for the next one; back: fixed nodes (k,), and displacements (k,3) m by which they are moved.
+    The equilibrium is not part of the simulated time, and no heat is conducted in it. Returns the number of steps and energies.
+    Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
@@ -107,19 +95,15 @@ def settle(
 
 
 def _stored(bodies: Bodies) -> float:
-    """Energy (J) without the kinetic energy: its loss is the energy that damping has taken."""
+    """Energy (J) without kinetic energy: its decrease is the energy dissipated by damping."""
     t = bodies.target
     return t.elastic() + t.balance.plastic + bodies.energy
 
 
 def _relax(
-    bodies: Bodies,
-    relaxation: Relaxation,
-    aim: Aim,
-    known: Known,
-    back: tuple[np.ndarray, np.ndarray] | None,
+    bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Steps of dynamic relaxation until what may still be set free is below aim.left, in J here; known, back: see `settle`."""
+    """Make steps of dynamic relaxation until the remaining energy is below aim.left, in J here. known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
     heat = t.elements.heat[:m].copy()
@@ -128,15 +112,23 @@ def _relax(
     if aim.ramp:
         t.elements.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
-    _weigh(bodies, relaxation, known.highest(t))
+    known.highest = known.highest or HighestFrequency(len(t.nodes.x), len(t.mesh.conn))
+    _weigh(bodies, relaxation, known.highest)
     dt = relaxation.dt
+    if known.grid is None or known.grid[0] != m:
+        known.grid = m, CoarseGrid(t, relaxation.free, relaxation.mass, dt, bodies.springs())
+    grid = known.grid[1]
     steps, left, n = 0, np.inf, t.active_nodes
-    grid, along, momentum = known.grid(bodies, relaxation), np.zeros((n, 3)), np.zeros((n, 3))
+    along, momentum = np.zeros((2, n, 3))
     before, damping = t.nodes.total[:n].copy(), MOST_DAMPING if aim.quick else SLOW_DAMPING
+
+    def damp(lo: int, hi: int) -> None:
+        motion.damp(lo, hi, relaxation.free, dt, damping, t.nodes.total, along, t.nodes.v, momentum)
+
     while steps < RELAX_STEPS and left > aim.left:
         if steps % SEARCH_EVERY == 0:
             _search(bodies, dt)
-        share(partial(_damp, t, relaxation.free, dt, damping, along, momentum), n, motion.LEAST)
+        share(damp, n, motion.LEAST)
         if steps < aim.ramp:
             t.elements.heat[:m] += (_ramp((steps + 1) / aim.ramp) - _ramp(steps / aim.ramp)) * heat
         t.nodes.v[moved] = (goal - t.nodes.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
@@ -157,16 +149,16 @@ def _relax(
 
 
 def _ramp(passed: float) -> float:
-    """Share of a change of temperature that has come when a share `passed` of the ramp has. It begins and ends gently: where it
-    does so suddenly, so little damping lets stresses overshoot, and more metal yields."""
+    """Share of a change of temperature at the share `passed` of the ramp. The ramp starts and ends smoothly: with little damping a
+    sudden change makes stresses overshoot, and more metal yields."""
     return passed * passed * (3.0 - 2.0 * passed)
 
 
 def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) -> None:
-    """Give the nodes the masses with which elements and all springs between bodies bear one step.
+    """Give the nodes masses with which elements and all springs between bodies are stable with the same step.
 
-    The elements' bound is safe but short (`fe.stability`): the step is the one that the elements really bear with the masses for
-    RELAX_STEP, and the springs, whose bound is sharp, get theirs for that.
+    The masses for elements follow from their safe bound and RELAX_STEP. The step is then the true limit of the mesh with these
+    masses, which is longer (`fe.stability`). The masses for springs, whose bound is sharp, follow from this step.
     """
     relaxation.weigh(highest, RELAX_STEP)
     n, share_of = len(bodies.target.nodes.x), 0.25 * relaxation.dt * relaxation.dt
@@ -176,18 +168,12 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
         relaxation.add_mass(share_of * load)
 
 
-def _damp(
-    t: Target, free: np.ndarray, dt: float, damping: float, along: np.ndarray, momentum: np.ndarray, lo: int, hi: int
-) -> None:
-    motion.damp(lo, hi, free, dt, damping, t.nodes.total, along, t.nodes.v, momentum)
-
-
 def _moving(
     relaxation: Relaxation, n: int, along: np.ndarray, momentum: np.ndarray, before: np.ndarray
 ) -> tuple[float, float, float]:
-    """Kinetic energy (J) of the first n nodes in the masses of the relaxation, the squared frequency (1/s2) of what moves now, and
-    f M^-1 f / 2 (N m/s2) of the forces f that nothing balances: over omega^2 an energy. along (n,3) m/s2: the grid's part of M^-1 f;
-    before (n,3) N: the forces a step ago, and then those of now."""
+    """Kinetic energy (J) of the first n nodes with the masses of the relaxation, squared frequency (1/s2) of the present motion,
+    and f M^-1 f / 2 (N m/s2) of the unbalanced forces f, an energy if divided by omega^2. along (n,3) m/s2: part of M^-1 f by the
+    grid; before (n,3) N: forces one step ago, updated to the present ones."""
     t, sums = relaxation.target, np.zeros((PARTS, 3))
     free, mass = relaxation.free, relaxation.mass[:n]
     together(motion.moving, free[:n], mass, t.nodes.total[:n], along, momentum, t.nodes.v[:n], before, sums)
@@ -196,7 +182,7 @@ def _moving(
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
-    """Run `time` s with real masses and no damping; returns the largest kinetic energy, J."""
+    """Run for `time` s with real masses and without damping. Returns the largest kinetic energy, J."""
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
         _search(bodies, SEARCH_EVERY * t.stable_dt())

@@ -1,4 +1,4 @@
-"""A finished splat is put on what it lies on, and moved out of all other bodies."""
+"""Fit of a finished splat to the surfaces under it, and its removal from overlap with other bodies."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -14,21 +14,21 @@ from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import correct_volume
 from .domain import BodyState
 
-NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
-CLEAR, ROUNDS = 0.02, 6  # element sizes that a new splat may lie in other bodies; rounds of moving it out of them
-FOLLOWING = 6  # edges from what is moved out, as far as which nodes follow
-LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
-# Change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
-FITTED_VOLUME = 0.01
-MOST_OFFSET = 0.25  # ... which may move by this part of an element size
-LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it the mesh is not the splat
+NEAR = 0.6  # element sizes: surfaces closer than this are in contact when a splat joins
+CLEAR, ROUNDS = 0.02, 6  # element sizes: largest remaining overlap of a new splat; number of attempts to remove it
+FOLLOWING = 6  # edges: largest distance of nodes that follow the displaced ones
+LEAST_QUALITY = 0.1  # smallest volume of a tetrahedron after a displacement, over its volume before
+FITTED_VOLUME = 0.01  # relative change of a splat's volume that its density corrects; a larger one is corrected at its free surface ...
+MOST_OFFSET = 0.25  # ... by an offset of at most this part of an element size
+LOST_VOLUME = 0.05  # largest relative change of a splat's volume after the correction
 
 
 def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -> BodyState:
-    """A splat with the nodes that lie on the bodies of a target put on their facets, as far as its tetrahedra bear it, and out of them.
+    """A splat whose nodes near the bodies of a target lie on their facets, and outside them, as far as the quality of its
+    tetrahedra allows.
 
-    body (m,): of each element of the target; size: of the splat's elements, m. Raises SolverError where it has no elements, or its
-    volume cannot be kept.
+    body (m,): body of each element of the target; size m: of the splat's elements. Raises SolverError if the splat has no elements,
+    or its volume cannot be kept.
     """
     n, new = len(target.nodes.x), int(body.max()) + 1
     if len(splat.tets) == 0:
@@ -47,11 +47,11 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
     placed = contact_pairs.nodes - n
     try:
         cleared = _cleared(splat, points, placed, target.nodes.x, surfaces, new, size)
-    except SolverError:  # nodes that are moved out cannot give the volume back: before, more of them are free
+    except SolverError:  # displaced nodes cannot correct the volume: correct it before, when more nodes are free
         points = _of_volume(points, splat, placed, size)
         try:
             cleared = _cleared(splat, points, placed, target.nodes.x, surfaces, new, size)
-        except SolverError:  # what it would lose of its volume is worse than the overlap
+        except SolverError:  # the overlap is better than the loss of volume
             cleared = points
     return replace(splat, points=cleared)
 
@@ -59,8 +59,8 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
 def _cleared(
     splat: BodyState, points: np.ndarray, placed: np.ndarray, before: np.ndarray, surfaces: Surfaces, new: int, size: float
 ) -> np.ndarray:  # fmt: skip
-    """Points (n,3) m of a splat, the body `new`, moved out of what it still overlaps, with its volume. placed: nodes that lie on other
-    bodies; before (N,3) m: the nodes of these."""
+    """Points (n,3) m of a splat, the body `new`, moved out of the bodies that it overlaps, with the volume of the splat. placed:
+    its nodes on other bodies; before (N,3) m: nodes of the other bodies."""
     for _ in range(ROUNDS):
         out = displacements_out(surfaces, np.concatenate([before, points]), new)[len(before) :]
         depth = np.linalg.norm(out, axis=1)
@@ -72,8 +72,8 @@ def _cleared(
 
 
 def carried_along(tets: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Displacements (n,3) m of the nodes of tetrahedra (m,4): those given (n,3) m, and of nodes with none there the mean of their
-    neighbours', up to FOLLOWING edges away: a thin rim moves as a whole."""
+    """Displacements (n,3) m of the nodes of tetrahedra (m,4). Nodes with a zero displacement in `given` (n,3) m get the mean of
+    their neighbours, up to FOLLOWING edges away: a thin rim moves as a whole."""
     edges = np.concatenate([tets[:, pair] for pair in combinations(range(4), 2)])
     both = np.concatenate([edges, edges[:, ::-1]])
     beside = coo_matrix((np.ones(len(both)), both.T), shape=(len(given), len(given))).tocsr()
@@ -85,15 +85,14 @@ def carried_along(tets: np.ndarray, given: np.ndarray) -> np.ndarray:
 
 
 def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
-    """Points (n,3) m of a splat whose nodes `placed` lie on other bodies, with the volume it had before: its free surface moves.
-
-    size: m, of elements. Raises SolverError where the volume cannot be restored.
+    """Points (n,3) m with the original volume of a splat: its free surface moves. placed: nodes on other bodies, which do not move;
+    size m: of elements. Raises SolverError if the volume cannot be restored.
     """
     whole, facets = float(volumes(splat.points, splat.tets).sum()), boundary_faces(splat.tets)[0]
     fixed = np.zeros(len(points), bool)
     fixed[placed] = True
     left = MOST_OFFSET * size
-    for _ in range(ROUNDS):  # nodes whose tetrahedra do not bear it leave their part to the others
+    for _ in range(ROUNDS):  # more than one: some nodes cannot move in full, and the others must compensate
         if abs(volumes(points, splat.tets).sum() / whole - 1.0) <= FITTED_VOLUME:
             break
         corrected, offset = correct_volume(points, facets, whole, left, fixed)
@@ -108,7 +107,7 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
 
 
 def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The nodes of a splat moved from points to wanted (n,3) m, each as far as its tetrahedra bear it."""
+    """The nodes of a splat moved from points to wanted (n,3) m, each as far as the quality of its tetrahedra allows."""
     least = LEAST_QUALITY * volumes(splat.points, splat.tets)
     share = np.ones(len(wanted))
     for _ in range(8):

@@ -1,4 +1,4 @@
-"""Positions of the bodies of a target: under a particle, near a point, after all impacts."""
+"""Positions and shapes of the bodies of a target: under a particle, near a point, after all impacts."""
 
 from collections.abc import Sequence
 
@@ -13,15 +13,15 @@ from .domain import Point
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> float:
-    """Height z (m) to which a body must be lifted so that its surface just clears the facets, measured vertically.
+    """Vertical shift (m) with which the surface of a body just touches the facets below; -inf if there are none.
 
-    vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
+    vertices (k,3) m: of the body's surface; x (n,3) m, facets (f,3): of the surfaces below.
     """
     return float(np.max(heights_at(vertices[:, :2], x, facets) - vertices[:, 2], initial=-np.inf))
 
 
 def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Greatest height (k,) m at which vertical lines axes (k,2) m cross facets (f,3) of x (n,3) m; -inf where one does not."""
+    """Largest height (k,) m at which vertical lines through axes (k,2) m cross facets (f,3) of x (n,3) m; -inf for no crossing."""
     line, z, _ = RaySurface(x, facets, closed=False).on_verticals(axes[:, 0], axes[:, 1])
     height = np.full(len(axes), -np.inf)
     np.maximum.at(height, line, z)
@@ -29,16 +29,16 @@ def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarra
 
 
 def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
-    """Points of impact (x, y, z) m: the axis of each particle at an offset (m) crosses the surface there; waves begin there."""
+    """Points of impact (x, y, z) m, where the vertical axis of each particle at an offset (m) crosses the surface."""
     t = bodies.target
-    if bodies.is_flat and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
+    if bodies.is_flat and t.time == 0.0:  # rays need not be loaded
         return [(*offset, 0.0) for offset in offsets]
     z = heights_at(np.array(offsets), t.nodes.x, t.mesh.facets[bodies.reachable()])
     return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
 
 
 def near(bodies: Bodies, points: Sequence[Point], radius: float) -> list[int]:
-    """Bodies whose bounding boxes come within a radius of one of the points, m."""
+    """Bodies whose bounding boxes lie within `radius` m of one of the points."""
     low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
     at = np.array(points)[:, None]
     away = np.maximum(np.maximum(low - at, at - high), 0.0)
@@ -46,8 +46,8 @@ def near(bodies: Bodies, points: Sequence[Point], radius: float) -> list[int]:
 
 
 def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
-    """The nodes (k,) of a target that were at the elastic edge of the window before, and the displacement (k,3) m that leads them back
-    to where they were at rest: what lies beyond the edge has not moved."""
+    """Nodes (k,) of a target that were at the elastic edge of the window before, and displacements (k,3) m back to their rest
+    positions: elements beyond the edge have not moved."""
     if before.edge is None:
         return None
     number, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
@@ -58,24 +58,21 @@ def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarr
 
 
 def means_of(bodies: Bodies, body: int) -> dict[str, float]:
-    """Means over the elements of a body of von Mises stress, pressure, plastic strain and temperature."""
+    """Volume averages of von Mises stress, pressure, plastic strain and temperature over the elements of a body."""
     t = bodies.target
     own = bodies.body == body
     weight = t.elements.volume[own]
-    pressure = t.nodes.p[t.mesh.conn[own]].mean(axis=1)
     values = {
-        "von_mises_Pa": von_mises(t.elements.s[own]),
-        "pressure_Pa": pressure,
-        "eps_p": t.elements.plastic_strain[own],
-        "T_K": t.elements.T[own],
-    }
+        "von_mises_Pa": von_mises(t.elements.s[own]), "pressure_Pa": t.nodes.p[t.mesh.conn[own]].mean(axis=1),
+        "eps_p": t.elements.plastic_strain[own], "T_K": t.elements.T[own],
+    }  # fmt: skip
     return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
 
 
 def splats_at_end(bodies: Bodies, diameters: Sequence[float], levels: Sequence[float]) -> list[dict[str, float] | None]:
-    """Measures of the shape of the splats of the first impacts in the target, SI; None for a splat that has left.
+    """Shape measures of the splats of the first impacts, SI; None for a splat that has left.
 
-    diameters (k,) m: of their particles; levels (k,) m: height of the surface that each particle met.
+    diameters (k,) m: of their particles; levels (k,) m: height of the surface under each particle before its impact.
     """
     mesh, standing = bodies.target.mesh, []
     impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]

@@ -12,6 +12,7 @@ from coupler.contact.bodies import BodyContact
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import Surfaces, interface
+from coupler.core.records import copied
 from coupler.errors import SolverError
 from coupler.fe import explicit
 from coupler.fe.explicit import Target
@@ -327,7 +328,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
 
     one, contact = start()
     one.run(1e-4)
-    kept = contact.state()
+    kept = copied(contact)
     fresh = BodyContact(one.surfaces, one.target.mesh.points, [one.K] * 2, 0.3)
     fresh.restore(kept)
     assert fresh.pairs.sums.friction_heat == contact.pairs.sums.friction_heat > 0

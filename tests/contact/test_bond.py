@@ -11,6 +11,7 @@ from coupler.contact.bond_kernels import yielding
 from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import interface
 from coupler.core import safety
+from coupler.core.records import copied
 from coupler.errors import SolverError
 from coupler.fe import explicit
 from coupler.target.bodies import FOLDED, Bodies
@@ -503,9 +504,9 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped(pair: Blocks) -> 
     bond = cohesive(pair)
     path = np.linspace(0, 3e-5, 60)[:, None] * np.array([0.6, 0, 0.8])
     pull(pair, bond, path[:30])
-    kept = bond.state()
+    kept = copied(bond)
     later = pull(pair, bond, path[30:])
-    again = kept.state()
+    again = copied(kept)
     assert np.array_equal(pull(pair, again, path[30:]), later)
     assert again.dissipated == bond.dissipated
     assert np.array_equal(pull(pair, kept, path[30:]), later)
@@ -523,7 +524,7 @@ def test_numbers_of_nodes_may_change_and_sets_be_joined(pair: Blocks, rng: np.ra
     g = np.zeros_like(x)
     one.forces(x[order], g)
     assert np.array_equal(g[new], f)
-    both = Bond.joined([two, two.state()])
+    both = Bond.joined([two, copied(two)])
     h = np.zeros_like(x)
     both.forces(x, h)
     assert h == pytest.approx(2 * f, rel=1e-12, abs=1e-12 * np.abs(f).max())

@@ -12,6 +12,7 @@ from conftest import elastic
 from runs import SharedRuns
 
 from coupler import Scene, run
+from coupler.core.records import copied
 from coupler.errors import SceneError
 from coupler.fe import mesh
 from coupler.fe.boundary import nodes_of
@@ -134,7 +135,7 @@ def test_scaling_goes_on_from_its_state() -> None:
     for _ in range(3):
         t.advance(t.stable_dt(1.0))
         t.finish()
-    again.restore(t.state())
+    again.restore(copied(t))
     for each in (t, again):
         each.advance(each.stable_dt(1.0))
         each.finish()
@@ -155,7 +156,7 @@ def test_the_surface_is_heavier_until_the_bodies_rest_again() -> None:
     assert t.mass[surface].min() == least
     np.testing.assert_array_equal(np.delete(t.mass, surface), np.delete(true, surface))
     assert added == pytest.approx(np.maximum(least - true[surface], 0.0).sum())
-    again.restore(t.state())
+    again.restore(copied(t))
     np.testing.assert_array_equal(again.mass, t.mass)
     np.testing.assert_array_equal(again.inv_mass, 1.0 / t.mass)
     t.rest()
@@ -248,7 +249,7 @@ def test_a_window_goes_on_from_its_state(origin: np.ndarray | None) -> None:
     one.nodes.v[np.linalg.norm(one.nodes.x, axis=1) < 0.5, 2] = -1.0
     for k in range(40):
         if k == 20:
-            state = one.state()
+            state = copied(one)
         one.advance(one.stable_dt(1.0))
         one.finish()
     other = make()

@@ -11,6 +11,7 @@ from scenes import TINY, scene
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
+from coupler.core.records import copied, put
 from coupler.errors import StoreError
 from coupler.impact.ending import EndCriterion
 from coupler.studies import coating, runs_table
@@ -85,7 +86,7 @@ def test_a_particle_that_slides_over_the_rim_has_left_undecided():
     over, beside = EndCriterion(200e-9, "rest", 50e-9, 500.0), EndCriterion(200e-9, "rest", 50e-9, 500.0)
     for time, force, above in ((10, 3.0, True), (30, 1.0, False), (34, 0.0, False), (36, 0.0, False)):
         for ending, is_above in ((over, True), (beside, above)):
-            ending.observe(time * 1e-9, 40.0, force, above=is_above)
+            ending.observe(time * 1e-9, 40.0, force, is_above=is_above)
     assert not over.reached(36e-9)
     assert beside.reached(36e-9)
     assert not beside.met(36e-9)
@@ -110,16 +111,16 @@ def test_an_end_that_was_moved_is_kept() -> None:
     """Stopped and gone on from, an impact that was given more time has the same end; another resumption does not move it."""
     ending = observed(EndCriterion(40e-9, "rest", 50e-9, 500.0), (40, 138.0, 2.0))
     ending.extend(40e-9, None)
-    assert (ending.seen.at, ending.seen.end_time) == ("rest", pytest.approx(80e-9))
+    assert (ending.at, ending.end_time) == ("rest", pytest.approx(80e-9))
     again = EndCriterion(40e-9, "rest", 50e-9, 500.0)
-    again.seen = ending.seen
+    put(copied(ending), again)
     again.extend(60e-9, None)
-    assert (again.seen.at, again.seen.end_time) == ("rest", pytest.approx(80e-9))
+    assert (again.at, again.end_time) == ("rest", pytest.approx(80e-9))
     settled = observed(EndCriterion(200e-9, "rest", 50e-9, 500.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (60, -5.0, 0.0))
     assert settled.met(60e-9)
     settled.extend(60e-9, 90e-9)
-    again.seen = settled.seen
-    assert (again.seen.at, again.seen.end_time) == ("time", 90e-9)
+    put(copied(settled), again)
+    assert (again.at, again.end_time) == ("time", 90e-9)
     assert not again.reached(80e-9)
 
 

@@ -21,7 +21,7 @@ from coupler import Result, Scene
 from coupler.contact.bodies import ContactPast
 from coupler.contact.contact import ContactSums
 from coupler.contact.model import new_history
-from coupler.core.records import rows_of
+from coupler.core.records import copied, rows_of
 from coupler.core.threads import RANGES, share
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
@@ -83,7 +83,7 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     assert 0 < len(cut.elements) < len(part.target.mesh.conn) < len(whole.target.mesh.conn)
     same = put_back(whole, [(cut, part)])
     for name in ("nodes", "elements"):
-        before, after = getattr(whole.target.state(), name), getattr(same.target.state(), name)
+        before, after = getattr(whole.target, name), getattr(same.target, name)
         for row in rows_of(before):
             if "number" not in row:
                 np.testing.assert_array_equal(getattr(after, row), getattr(before, row), err_msg=row)
@@ -202,7 +202,7 @@ def test_the_step_of_contacts_does_not_depend_on_the_last_search(whole: Bodies) 
     assert contact is not None
     steps = []
     for travel in (1e-9, 2e-6, 2e-5):
-        contact.restore(contact.state())
+        contact.restore(copied(contact))
         contact.search(target.nodes.x, travel, whole.bond)
         steps.append(contact.stable_dt(target.mass * np.linspace(1.0, 2.0, len(target.mass)), 1e-9))
     assert steps[0] < 1e-9
