@@ -266,7 +266,9 @@ def _check(bond: Bond) -> None:
     """Raise SolverError unless the law of every bond is admissible."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
-        raise SolverError("a bond needs positive strength and stiffness, and an energy of zero or more")
+        raise SolverError(
+            "a bond needs positive strength and stiffness, and an energy of zero or more: correct [adhesion]"
+        )
     full = strength**2 / (
         2.0 * stiffness[:, None]
     )  # J/m2 in the spring at the strength; infinite for infinite strength

@@ -152,9 +152,7 @@ class Contact(ContactState):
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
-            raise SolverError(
-                "positions of points or nodes are not finite numbers: try a smaller time step, more points or smaller elements"
-            )
+            raise SolverError("positions of points or nodes are not finite numbers: try a finer preset")
         closest.box_faces(x, self.faces)
         k.add_travel(0, len(self.spacing), self._motion, x, len(x))
         self._projections.clearance[:] -= self._motion.travel[

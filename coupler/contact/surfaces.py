@@ -145,7 +145,7 @@ def interface(
     others = tuple(range(body)) if others is None else others
     nodes, ids = surfaces.nodes_of(body), surfaces.facets_of(*others)
     if not np.isfinite(x).all():
-        raise SolverError("positions of the bodies are not finite numbers: try a smaller time step or a finer preset")
+        raise SolverError("positions of the bodies are not finite numbers: try a finer preset")
     own_ids = surfaces.facets_of(body)
     corners = surfaces.facets[own_ids]
     rows, outward = np.searchsorted(nodes, corners), vertex_normals(x, corners)[nodes]

@@ -85,12 +85,11 @@ class Ledger:
         if not abs(drift) <= bound:
             raise SolverError(
                 f"the energy ledger does not close: {drift:+.2%} of the initial kinetic energy, allowed {bound:.2%}. "
-                "What was computed is in the folder but is not a result: try a finer preset or a smaller time step"
+                "What was computed is in the folder but is not a result: try a finer preset"
             )
         if not error <= MOMENTUM_BOUND:
             raise SolverError(
-                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}:"
-                " try a finer preset or a smaller time step"
+                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}: try a finer preset"
             )
 
     def check_closure(self) -> None:

@@ -309,7 +309,7 @@ class Particle(LocalState, ABC):
         if point is not None and point >= 0:
             x, y, z = self.points.x[point] * 1e6
             place = f" at point {self.ids[point]} near ({x:.2f}, {y:.2f}, {z:.2f}) um"
-        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try more points, or a smaller time step"
+        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try a finer preset"
 
     def _recoverable(self, stored: float) -> float:
         """Recoverable part (J) of the stored energy of the stresses (J): without the part due to heat."""

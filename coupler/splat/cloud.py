@@ -79,7 +79,9 @@ class Cloud(MetalState):
         for name, values in self._known().items():
             shape = (n, *rows_of(self)[name].shape[1:])
             if np.shape(values) != shape:
-                raise SplatError(f"{name} must have the shape {shape}, has {np.shape(values)}")
+                raise SplatError(
+                    f"{name} must have the shape {shape}, has {np.shape(values)}: give a row for each point"
+                )
             bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
             if len(bad):
                 raise SplatError(
@@ -88,9 +90,9 @@ class Cloud(MetalState):
                 )
         for name, value in {"spacing": self.spacing, "rho": self.rho}.items():
             if not 1.0 / LARGEST < value < LARGEST:
-                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {value:g}")
+                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {value:g}: give it in SI units")
         if not np.min(self.volume) > 0.0 or (self.J is not None and not np.min(self.J) > 0.0):
-            raise SplatError("volume and J of every point must be positive")
+            raise SplatError("volume and J of every point must be positive: remove or correct the other points")
         self._check_places(x)
         if self.surface is not None:
             vertices, triangles = self.surface

@@ -34,7 +34,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
         )
     cloud.check()
     if not (np.isfinite(element_size) and element_size > 0.0):
-        raise SplatError(f"element_size must be positive, is {element_size:g}")
+        raise SplatError(f"element_size must be positive, is {element_size:g}: give a length")
     expected = TETS_PER_H3 * cloud.solid_volume / element_size**3
     if expected > MAX_ELEMENTS:
         raise SplatError(
