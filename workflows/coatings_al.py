@@ -65,21 +65,26 @@ def row_of(*key: str) -> dict[str, object]:
 
 def values_of(splats: coating.Splats) -> dict[str, float]:
     """The measures of a cold coating; its last layer is that of the last impacts."""
-    buried = splats.planned - splats.planned // splats.layers
-    inner = replace(splats, body=np.where(splats.impact[splats.body] > buried, 0, splats.body))
-    all_ = coating.measure(splats)
+    inner, all_ = buried(splats), coating.measure(splats)
     layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
     eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
         "stress_MPa": coating.in_plane(inner, all_.window_radius_m, "stress")[0] * 1e-6,
         "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6, "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
         "density": 100.0 * (1.0 - all_.porosity_open - all_.porosity_closed), "overlap_share": 100.0 * all_.overlap_share,
-        "strain": flattening_strain(inner, all_.window_radius_m), "eps_p": float(eps_p), "thickness_um": all_.thickness_mean_m * 1e6,
+        "strain": flattening_strains(inner, all_.window_radius_m).mean(), "eps_p": float(eps_p),
+        "thickness_um": all_.thickness_mean_m * 1e6,
     }  # fmt: skip
 
 
-def flattening_strain(splats: coating.Splats, radius: float) -> float:
-    """Mean of 2/3 ln(width / height) of the splats whose middle lies within radius (m), as ellipsoids of the same second moments."""
+def buried(splats: coating.Splats) -> coating.Splats:
+    """The coating without the splats of its last layer, which nothing has struck."""
+    last = splats.planned - splats.planned // splats.layers
+    return replace(splats, body=np.where(splats.impact[splats.body] > last, 0, splats.body))
+
+
+def flattening_strains(splats: coating.Splats, radius: float) -> NDArray[np.float64]:
+    """2/3 ln(width / height) (k,) of the splats whose middle lies within radius (m), as ellipsoids of the same second moments."""
     corners, found = splats.mesh.points[splats.mesh.cells], []
     volume = np.abs(volumes(splats.mesh.points, splats.mesh.cells))[:, None]
     for body in np.unique(splats.body[splats.body > 0]):
@@ -89,7 +94,7 @@ def flattening_strain(splats: coating.Splats, radius: float) -> float:
         xx, yy, zz = (v * ((away**2).sum(axis=1) + away.sum(axis=1) ** 2)).sum(axis=0)  # of linear tetrahedra, times 20
         if math.hypot(*middle[:2]) <= radius:
             found.append(math.log(0.5 * (xx + yy) / zz) / 3.0)
-    return float(np.mean(found))
+    return np.array(found)
 
 
 class Comparison(NamedTuple):

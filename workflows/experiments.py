@@ -1,18 +1,19 @@
 """Single impacts that others have measured, computed with every strength set of the library: python workflows/experiments.py
 
-    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats
+    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats, coatings
     python workflows/experiments.py --docs                 # runs nothing: the page and its figure from the tables
 
-The measurements, readings and bands are in workflows/measurements.toml. Each run is a row of docs/tables/restitution_sets.csv or
-splats_4340.csv that is not computed again. Nothing is fitted.
+The measurements, readings and bands are in workflows/measurements.toml. Each run is a row of docs/tables/restitution_sets.csv,
+splats_4340.csv or coatings.csv that is not computed again. Nothing is fitted.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import coatings_al
 import numpy as np
 from numpy.typing import NDArray
 from pages import (
@@ -24,6 +25,7 @@ from pages import (
     measurements,
     number,
     options,
+    spacing_of,
     study_table,
     table_rows,
     versions,
@@ -34,9 +36,11 @@ from coupler import Scene
 from coupler.physics.materials import entry, material
 from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
 from coupler.report.picture import blank, save
+from coupler.studies import coating
 from coupler.studies.table import Row
 
 REBOUND, SPLAT = measurements("rebound"), measurements("splat")
+COATED = {name: value for name, value in measurements("coatings").items() if isinstance(value, dict)}
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
 PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
@@ -62,6 +66,33 @@ bottom = "absorbing"
 kind = "none"
 [materials.{metal}]
 strength = "{set}"
+"""
+COATING_COLUMNS = (
+    "metal", "test", "splats", "flattening", "flattening_error", "height_over_width", "height_over_width_error", "surface_MPa",
+    "surface_error", "70 um_MPa", "70 um_error", "drift", "cpu_s", "failed",
+)  # fmt: skip
+COATING = """
+preset = "draft"
+end.at = "cold"
+output.at = "ends"
+adhesion = {{ kind = "tied", criterion = "all" }}
+resolution.spacing = "{spacing:.4g} um"
+[coating]
+material = "{metal}"
+number = {number}
+layers = {layers}
+radius = "{radius:g} um"
+positions = "even"
+diameter = "{diameter_um} um"
+velocity = "{velocity_m_s} m/s"
+temperature = "{temperature_K} K"
+dwell = "1 ms"
+[substrate]
+material = "{base}"
+diameter = "{width:g} um"
+height = "{depth:g} um"
+[materials.{metal}]
+strength = "{strength}"
 """
 
 
@@ -143,6 +174,70 @@ def row_of(case: Case) -> dict[str, object]:
         "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
         "drift": s["energy_drift"], "cpu_s": cpu,
     }  # fmt: skip
+
+
+def coating_scene(metal: str, test: str) -> Scene:
+    """The scene of a coating of measurements.toml, with what a test changes of it."""
+    said = {"strength": next(iter(entry(metal).sets))} | COATED[metal]
+    D, size = said["diameter_um"], said["scene"]
+    values = {"radius": size["patch"] * D, "width": 9 * D, "depth": size["height"] * D, "spacing": spacing_of(1000, D)}
+    text = COATING.format(metal=metal, **said, **size, **values)
+    return Scene.from_text(text, "coating", list(said["tests"].get(test, {}).items()))
+
+
+def coating_row(metal: str, test: str) -> dict[str, object]:
+    """Splats and stress of the substrate of a coating, as measurements.toml reads them."""
+    with computed(coating_scene(metal, test), skip_failed=True) as (result, cpu):
+        splats, drift = coating.read(result), max(abs(i["energy_drift"]) for i in result.summary["impacts"])
+        radius = coating.disc_radius(splats)
+    strain = coatings_al.flattening_strains(coatings_al.buried(splats), radius)
+    row: dict[str, object] = {"splats": len(strain), "drift": drift, "cpu_s": cpu, "failed": ""}
+    for name, values in {"flattening": 1.0 - np.exp(-strain), "height_over_width": np.exp(-1.5 * strain)}.items():
+        row |= {name: values.mean(), f"{name}_error": coatings_al.error_of(values)}
+    z = splats.mesh.points[splats.mesh.cells].mean(axis=1)[:, 2] * 1e6
+    for name, (top, bottom) in COATED[metal].get("stress_um", {}).items():
+        slice_ = replace(splats, body=((splats.body == 0) & (z < -top) & (z >= -bottom)).astype(np.int64))
+        mean, error = coating.in_plane(slice_, radius, "stress")
+        row |= {f"{name}_MPa": mean * 1e-6, f"{name}_error": math.nan if error is None else error * 1e-6}
+    return row
+
+
+def coatings() -> Iterator[tuple[str, str]]:
+    """Metal and test of each coating, those without a test first."""
+    yield from ((metal, "") for metal in COATED)
+    yield from ((metal, test) for metal, said in COATED.items() for test in said["tests"])
+
+
+def coating_pairs(row: Row) -> Iterator[tuple[str, str, Sequence[float], Sequence[float], int]]:
+    """What is measured of a coating: quantity, case, measured value and error, computed value and error, digits after the point."""
+    metal, said = row["metal"], COATED[row["metal"]]
+    values = [
+        ("flattening", f"{metal} in a coating, (d₀ - h) / d₀", said.get("flattening"), "flattening", 2),
+        ("flattening", f"{metal} in a coating, h / w", said.get("flattening"), "height_over_width", 2),
+    ]
+    for place, measured in said.get("stress_MPa", {}).items():
+        what = f"{said['base']} below {metal}, {place.replace('um', 'µm')}"
+        values.append(("stress, MPa", what, measured, f"{place}_MPa", 0))
+    for quantity, what, measured, key, digits in values:
+        if measured:
+            error = number(row, f"{key.removesuffix('_MPa')}_error")
+            yield quantity, what, measured, (number(row, key), error), digits
+
+
+def coating_part(rows: Sequence[Row]) -> list[str]:
+    """Flattening in coatings, by both readings, and stress below one, measured and computed; what each test gives."""
+
+    def told(value: float, error: float, digits: int) -> str:
+        return f"{value:.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
+
+    lines, tests = [], []
+    for row in (row for row in rows if not row["failed"]):
+        for quantity, what, measured, ours, digits in coating_pairs(row):
+            if row["test"] and not what.endswith("h / w"):
+                tests.append(f"{what}, {row['test']} {told(*ours, digits)}")
+            elif not row["test"]:
+                lines.append([quantity, what, told(*measured, digits), told(*ours, digits)])
+    return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
 
 
 def chosen(rows: Sequence[Row], **values: str) -> list[Row]:
@@ -244,8 +339,12 @@ PARTS = {  # name: table, cases
 
 def main() -> None:
     """Run what is missing, write the page."""
-    a = options(__doc__, "docs", only=list(PARTS))
+    a = options(__doc__, "docs", only=[*PARTS, "coatings"])
     for part in () if a.docs else a.only:
+        if part == "coatings":
+            table = study_table(part, COATING_COLUMNS, COATING_COLUMNS[:2], "python workflows/experiments.py")
+            fill(table, coatings(), coating_row)
+            continue
         name, cases = PARTS[part]
         wanted = {case.key: case for case in cases()}
         fill(
@@ -256,6 +355,7 @@ def main() -> None:
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
     draw(rebound, EVIDENCE / "restitution_sets.png")
     write_parts("experiments", {"restitution": restitution_part(rebound), "splats": splat_part(splat)})
+    write_parts("coating_stress", {"coatings": coating_part(table_rows("coatings"))})
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ docs/tables/flights.csv and its part of the page on the gas.
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,11 @@ def efficiency(powder: Spray) -> str:
     return f"{share[0]:.0f} ({share[1]:.0f} to {share[2]:.0f})"
 
 
+def critical(name: str, diameter: float, temperature: float) -> float:
+    """Critical velocity, m/s, of Schmidt's formula on the same metal. diameter: um; temperature: C."""
+    return pair_formula(material(name), None, temperature + ZERO, diameter * 1e-6).critical
+
+
 def rows() -> list[dict[str, object]]:
     """The rows of the table."""
     found, known = [], nozzles()
@@ -59,36 +65,48 @@ def rows() -> list[dict[str, object]]:
             powder = arrived(run, row, known[run["nozzle"]])
             middle = len(powder.velocity) // 2
             velocity, temperature = powder.velocity[middle], powder.temperature[middle] - ZERO
+            over = [u / critical(run["metal"], run["sizes_um"][1], t) for u, t in ((v, T), (velocity, temperature))]
             found.append({
                 "source": run["source"], "metal": run["metal"], "median_um": run["sizes_um"][1],
                 "gas": f"{gas} {bar / 10:g} MPa {T_gas:g} °C", "powder_C": T_powder, "by": run["by"],
                 "published_m_s": v, "published_scatter": scatter or "", "computed_m_s": f"{velocity:.0f}",
                 "published_C": "" if math.isnan(T) else T, "computed_C": f"{temperature:.0f}",
                 "published_percent": stays, "computed_percent": efficiency(powder),
+                "published_over_critical": "" if math.isnan(T) else f"{over[0]:.2f}", "computed_over_critical": f"{over[1]:.2f}",
             })  # fmt: skip
     return found
 
 
+def span(rows: Sequence[Mapping[str, object]], name: str) -> str:
+    """The values of a column, from the least to the greatest; "-" where there is none."""
+    values = sorted((str(r[name]) for r in rows if r[name] != ""), key=float)
+    return " to ".join(dict.fromkeys((values[0], values[-1]))) if values else "-"
+
+
 def part(table: Sequence[Mapping[str, object]]) -> list[str]:
-    """The table of the page."""
-    lines = [
-        [
-            f"{r['metal']} {r['median_um']} µm", r["gas"] + (f", powder {r['powder_C']} °C" if r["powder_C"] != 20 else ""),
-            f"{r['published_m_s']}" + (f" ± {r['published_scatter']}" if r["published_scatter"] else "") + f" ({r['by']})",
-            r["computed_m_s"], r["published_C"] or "-", r["computed_C"], r["published_percent"] or "-", r["computed_percent"],
-        ]
-        for r in table
-    ]  # fmt: skip
-    head = "powder | gas | m/s, published | computed | °C, published | computed | stays %, measured | computed"
-    critical = []
+    """The table of the page; sprays of one powder whose efficiency is not measured share a line."""
+    lines = []
+    for _, group in groupby(
+        table, lambda r: (r["source"], r["metal"], r["published_percent"] and r["gas"], r["powder_C"])
+    ):
+        rows = list(group)
+        r, temperatures = rows[0], [{"T": row["gas"].split()[-2]} for row in rows]
+        lines.append([
+            f"{r['metal']} {r['median_um']} µm",
+            f"{r['gas'].rsplit(' ', 2)[0]} {span(temperatures, 'T')} °C"
+            + (f", powder {r['powder_C']} °C" if r["powder_C"] != 20 else ""),
+            span(rows, "published_m_s") + (f" ± {r['published_scatter']}" if r["published_scatter"] else "")
+            + (" (laser)" if r["by"] == "laser" else ""),
+            *(span(rows, name) for name in ("computed_m_s", "published_C", "computed_C")),
+            f"{span(rows, 'published_over_critical')} / {span(rows, 'computed_over_critical')}",
+            f"{r['published_percent']} / {r['computed_percent']}" if r["published_percent"] else "-",
+        ])  # fmt: skip
+    head = "powder | gas | m/s, published | computed | °C, published | computed | over critical | stays %"
+    sources = []
     for run in MEASURED["critical"]:
-        metal = material(run["metal"])
-        ours = ", ".join(
-            f"{v} / {pair_formula(metal, None, T + ZERO, run['diameter_um'] * 1e-6).critical:.0f} m/s at {T} °C"
-            for T, v in run["rows"]
-        )
-        critical.append(f"- {run['metal']}, {run['diameter_um']} µm, {run['source']}: {ours}.")
-    told = ["Critical velocities, published / by Schmidt's formula:", "", *critical]
+        ours = ", ".join(f"{v} / {critical(run['metal'], run['diameter_um'], T):.0f} at {T} °C" for T, v in run["rows"])
+        sources.append(f"- {run['metal']}, {run['diameter_um']} µm, {run['source']}: {ours}.")
+    told = ["Critical velocities (m/s), published / by Schmidt's formula:", "", *sources]
     return [*markdown(head, lines), "", f"Computed with version {__version__}.", "", *told]
 
 

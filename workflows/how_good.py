@@ -19,7 +19,8 @@ from coupler.physics.materials import entry
 from coupler.plan import refinement
 from coupler.report.picture import blank, save
 
-VALIDATION = "[validation](validation.md)"
+VALIDATION, IMPACTS = "[validation](validation.md)", "[impacts](experiments.md)"
+COATINGS = "[coatings](coating_stress.md)"
 
 
 class Pair(NamedTuple):
@@ -54,10 +55,16 @@ def splats() -> Iterator[Pair]:
         yield Pair("flattening", splat.name, splat.flattening["experiment"], math.nan, ours, error, 2, VALIDATION)
     rows = [row for row in table_rows("splats_4340") if row["metal"] == "Al2024" and not row["failed"]]
     for alloy, (ratio, error) in experiments.SPLAT["measured"].items():
-        own, page = experiments.splat_ratio(rows[0]), "[impacts](experiments.md)"
-        yield Pair(
-            "flattening", f"{alloy} on 4340 (Al2024)", ratio, error, own, number(rows[0], "flattening_band"), 2, page
-        )
+        own, band = experiments.splat_ratio(rows[0]), number(rows[0], "flattening_band")
+        yield Pair("flattening", f"{alloy} on 4340 (Al2024)", ratio, error, own, band, 2, IMPACTS)
+
+
+def others() -> Iterator[Pair]:
+    """Flattening in coatings of iron and nickel, and stress of magnesium below aluminium."""
+    rows = [row for row in table_rows("coatings") if not (row["test"] or row["failed"])]
+    for quantity, what, *values, digits in (pair for row in rows for pair in experiments.coating_pairs(row)):
+        if not what.endswith("h / w"):
+            yield Pair(quantity, what, *values[0], *values[1], digits, COATINGS)
 
 
 def rebounds() -> Iterator[Pair]:
@@ -70,12 +77,11 @@ def rebounds() -> Iterator[Pair]:
         computed, measured = float(np.mean([ours[v] for v in theirs])), float(np.mean(list(theirs.values())))
         what = f"{metal} {experiments.REBOUND[metal]['diameter_um']} µm, 250 to 550 m/s ({name})"
         error = experiments.band_of(rows, metal)
-        page = "[impacts](experiments.md)"
-        yield Pair("restitution", what, measured, experiments.REBOUND["e_error"], computed, error, 3, page)
+        yield Pair("restitution", what, measured, experiments.REBOUND["e_error"], computed, error, 3, IMPACTS)
 
 
 def critical() -> Iterator[Pair]:
-    """Critical velocities by computed bonds, at `fine` with gradients, and those of two sources by the formula."""
+    """Critical velocities by computed bonds, at `fine` with gradients."""
     for row in table_rows("critical_velocity"):
         usual = row["preset"] == "fine" and row["taylor_alpha"] == "0.35" and not row["strength"].startswith("critical")
         if usual and row["measured_m_s"] and row["critical_m_s"]:
@@ -87,12 +93,11 @@ def critical() -> Iterator[Pair]:
 
 def coatings() -> Iterator[Pair]:
     """Stress and density of aluminium coatings."""
-    page = "[coatings](coating_stress.md)"
     for c in coatings_al.comparisons(table_rows("coating_al")):
         for kind, k, digits, key in (("stress, MPa", 9, 0, "stress_MPa"), ("density, %", 5, 1, "density")):
             values = column(c.rows, key)
             error = coatings_al.error_of(values)
-            yield Pair(kind, c.name, *c.measured[k : k + 2], float(values.mean()), error, digits, page)
+            yield Pair(kind, c.name, *c.measured[k : k + 2], float(values.mean()), error, digits, COATINGS)
 
 
 def flights() -> Iterator[Pair]:
@@ -106,7 +111,7 @@ def flights() -> Iterator[Pair]:
 
 def pairs() -> list[Pair]:
     """All comparisons, those of a kind together."""
-    found = [*splats(), *rebounds(), *critical(), *coatings(), *flights()]
+    found = [*splats(), *rebounds(), *critical(), *coatings(), *others(), *flights()]
     kinds = [p.kind for p in found]
     return sorted(found, key=lambda p: kinds.index(p.kind))
 
