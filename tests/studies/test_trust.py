@@ -15,8 +15,8 @@ def test_the_data_are_those_of_the_page() -> None:
     rows, quantity = [], ""
     for line in PAGE.read_text(encoding="utf-8").split("<!-- end of table -->")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 6 and cells[0] not in ("quantity", "---"):
-            quantity = cells[0].partition(",")[0] or quantity
+        if len(cells) == 5 and cells[0] not in ("quantity", "---"):
+            quantity = cells[0].partition(":")[0].partition(",")[0] or quantity
             rows.append((quantity, cells[1], cells[4]))
     known = {name: cases for name, cases in table().items() if name != "kinds"}
     assert rows == [(name, case, row.apart) for name, cases in known.items() for case, row in cases.items()]
