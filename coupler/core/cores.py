@@ -1,4 +1,4 @@
-"""How many processors there are for this process."""
+"""Number of processors for this process."""
 
 import math
 import os
@@ -9,7 +9,7 @@ CGROUP = Path("/sys/fs/cgroup")
 
 
 def cores() -> int:
-    """Processors that this process may use: those that it is bound to, or fewer where a container or Slurm grants it less."""
+    """Number of processors that this process may use: the limits are its affinity, its container and its Slurm job."""
     granted = [float(len(os.sched_getaffinity(0)))]
     with suppress(OSError, ValueError):
         quota, period = (CGROUP / "cpu.max").read_text().split()

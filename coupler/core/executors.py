@@ -1,7 +1,6 @@
-"""Where many computations run: a `concurrent.futures.Executor` over processes here, MPI ranks of an allocation, or jobs of Slurm.
+"""Executors for many independent computations: processes of this machine, MPI ranks of an allocation, or Slurm jobs.
 
-Whoever has many independent computations submits functions of a module with arguments that can be pickled, and does not know where
-they run.
+Each is a `concurrent.futures.Executor`. The caller submits functions of a module with arguments that can be pickled.
 """
 
 import contextlib
@@ -22,17 +21,16 @@ from ..errors import PlacementError
 from ..units import nearest
 
 KINDS = ("processes", "mpi", "slurm")
-# option of a Slurm job -> its value unless given; any other is passed on to sbatch
+# option of a Slurm job -> default value; sbatch receives all other options
 SLURM = {"cores": "1", "time": "01:00:00"}
-RETRIES = 3  # of a computation whose Slurm job ended before it
-# a Python program that ends with the process that started it (prctl 1); Parsl's server of the jobs: else, where the sweep was killed,
-# they wait for work until their time is over
-WITH_PARENT = "import ctypes, signal; ctypes.CDLL(None).prctl(1, signal.SIGTERM)"
+RETRIES = 3  # of a computation that has not ended when its Slurm job ends
+# Program of Parsl's server of the jobs. It ends when the process that started it ends (prctl 1): otherwise the jobs of a killed sweep
+# wait for work until their time limit.
 _SERVER = (
-    f"{WITH_PARENT}; import runpy; runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
+    "import ctypes, signal, runpy; ctypes.CDLL(None).prctl(1, signal.SIGTERM);"
+    " runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
 )
-# glibc takes huge pages where the system has them: to find the arrays of a late impact in memory takes up to a tenth of its time;
-# a single impact, which is small, gains nothing
+# glibc uses huge pages where the system has them: this saves up to a tenth of the time of a late impact of a coating
 MEMORY = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 # variables by which a process joins the ranks of its parent
 _OF_MPI = ("PMI", "PMIX", "OMPI_", "MPI_", "MPICH_", "HYDI_", "HYDRA_")
@@ -41,16 +39,16 @@ _OF_MPI = ("PMI", "PMIX", "OMPI_", "MPI_", "MPICH_", "HYDI_", "HYDRA_")
 def executor(
     kind: str, count: int, folder: Path, slurm: Mapping[str, str] | None = None, *, starts_processes: bool = False
 ) -> Executor:
-    """An executor of a kind of KINDS, `count` computations at a time (those of `mpi` are as many as the ranks but the first).
+    """An executor of one of KINDS for `count` computations at a time; `mpi` uses all ranks but the first.
 
-    folder: for logs of Slurm jobs. slurm: `cores`: computations at a time in each job; `time` of a job; any other option of sbatch.
-    starts_processes: the functions start a process themselves, so that threads are enough for `processes`; else MEMORY is put into this
-    process's environment, where it is not set, for the processes to inherit. Raises PlacementError.
+    folder: for logs of Slurm jobs. slurm: options by name: `cores` is the number of computations at a time in a job, `time` the limit
+    of a job, all others are options of sbatch. starts_processes: the functions start processes themselves, so that `processes` uses
+    threads; otherwise MEMORY is added to the environment of this process. Raises PlacementError.
     """
     if kind == "processes":
         if starts_processes:
             return ThreadPoolExecutor(count)
-        for name, value in MEMORY.items():  # read as a process starts
+        for name, value in MEMORY.items():  # a process reads it when it starts
             os.environ.setdefault(name, value)
         return _Processes(count, get_context("spawn"), end_with, (os.getpid(),))
     if kind == "mpi":
@@ -61,18 +59,18 @@ def executor(
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes that get no interrupt from the terminal, not even while they start: the parent handles it."""
+    """Processes that receive no interrupt from the terminal, also while they start: the parent handles it."""
 
     def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
-        """As in the base class, which starts processes; they inherit the mask of signals."""
+        """Submit as the base class does. It starts processes, which inherit the mask of signals."""
         with without_interrupts():
             return super().submit(*arguments, **options)
 
 
 @contextlib.contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Context in which new processes get no interrupt from the terminal."""
-    resource_tracker.ensure_running()  # else it starts with the first process, and lets SIGINT through again
+    """Context in which new processes receive no interrupt from the terminal."""
+    resource_tracker.ensure_running()  # otherwise it starts with the first process and unblocks SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -81,7 +79,7 @@ def without_interrupts() -> Iterator[None]:
 
 
 def end_with(parent: int) -> None:
-    """Make this process end when its parent ends, also after a crash of the parent."""
+    """Make this process end when its parent process ends or crashes. parent: process id."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -92,7 +90,7 @@ def end_with(parent: int) -> None:
 
 
 def own_environment() -> dict[str, str]:
-    """The environment for a process that a worker starts: it is no rank of the worker's MPI, and computes on one core."""
+    """The environment for a process that a worker starts: it does not join the MPI of the worker, and computes on one core."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(_OF_MPI)}
     return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -111,7 +109,7 @@ def _mpi() -> Executor:
 
 
 def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
-    """Pilot jobs (Babuji et al. 2019, doi:10.1145/3307681.3325400): each takes computations until none is left or its time is over."""
+    """Pilot jobs (Babuji et al. 2019, doi:10.1145/3307681.3325400): each computes until no computation is left or its time is over."""
     if shutil.which("sbatch") is None:
         raise PlacementError(
             "the executor slurm needs the command sbatch, which is not installed here: use a Slurm cluster, or another --executor"

@@ -1,11 +1,11 @@
-"""Loops that several threads go through together (numba).
+"""Loops of a compiled function that several threads share (numba).
 
-All threads call the same compiled function with the same `team`, each when it is free. Its loops are divided into ranges that any
-thread takes, and the next loop begins when all ranges of this one are done. What stands between the loops is done by every thread.
+All threads call the same compiled function with the same `team`. Each loop is divided into ranges, and each range is done by one
+thread. The next loop begins when all ranges are done. Every thread executes the statements between the loops.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from typing import Any
 
 from numba import types
 from numba.core import cgutils
@@ -17,22 +17,16 @@ from ..compiling import njit
 from .arrays import Ints
 
 LOOPS = 8  # in a compiled function, at most
-PARTS = 64  # ranges that a loop is divided into, at most: four for each of sixteen threads
-SPINS = 20_000  # looks at a counter before another thread may have the processor: some tenths of a millisecond
-PATIENCE = 100_000  # looks, about a millisecond: longer than what one thread does alone between two loops of a step
-FAILED = 2 * LOOPS  # place in a team that is not zero after a failure
+PARTS = 64  # ranges of a loop, at most: four for each of sixteen threads
+SPINS = 20_000  # reads of a counter before the thread yields its processor: some tenths of a millisecond
+PATIENCE = 100_000  # reads of a counter, about a millisecond: longer than the work between two loops of a step
+FAILED = 2 * LOOPS  # index in a team whose value is not zero after a failure
 
 _yield_processor = types.ExternalFunction("sched_yield", types.int32())
 
 
-class _Builder(Protocol):
-    """What is needed of LLVM's builder of instructions."""
-
-    def atomic_rmw(self, op: str, ptr: object, val: object, ordering: str) -> object: ...
-
-
 def _atomic_add(_: object, counters: types.Array, place: types.Type, amount: types.Type) -> tuple[Signature, object]:
-    def code(context: BaseContext, builder: _Builder, signature: Signature, values: Sequence[object]) -> object:
+    def code(context: BaseContext, builder: Any, signature: Signature, values: Sequence[object]) -> object:
         array = context.make_array(counters)(context, builder, values[0])
         pointer = cgutils.get_item_pointer(context, builder, counters, array, [values[1]])
         return builder.atomic_rmw("add", pointer, values[2], "seq_cst")
@@ -40,18 +34,17 @@ def _atomic_add(_: object, counters: types.Array, place: types.Type, amount: typ
     return types.int64(counters, types.int64, types.int64), code
 
 
-#: counters[place] += amount, at once for all threads; the value before.
+#: Atomic counters[place] += amount. Returns the value before.
 _add: Callable[[Ints, int, int], int] = intrinsic(_atomic_add)  # type: ignore[assignment]
 
 
 @njit(nogil=True)  # a generator from numba's cache cannot be compiled into its callers: it is cached with them
 def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int, int, int]]:
-    """Ranges (lo, hi, part) that make up [0, count), `least` long or longer, left to this thread; ends when all are done.
+    """Ranges (lo, hi, part) of [0, count) for this thread, each of at least `least` rows. Ends when all threads have done their ranges.
 
-    team (FAILED + 1,): how many ranges of each loop are taken and done, zero at the beginning; and FAILED, with which other threads
-    stop waiting. The ranges depend on count and least alone: sums over parts, added in their order, have the same value
-    with any number of threads. A thread may start after the caller has returned: it finds no ranges then, but evaluates the counts
-    again, which must not have changed.
+    team (FAILED + 1,): for each loop the number of ranges begun and done, zero at the start; a value at FAILED ends the waiting. The
+    ranges depend on count and least only: sums over parts, added in their order, are equal for any number of threads. A thread may
+    start after the caller has returned. It then finds no range, but evaluates count again: count must not change.
     """
     parts = max(1, min(PARTS, count // least))
     while True:
@@ -69,7 +62,7 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
 
 @njit(cache=True, nogil=True)
 def wait_for(team: Ints) -> None:
-    """Wait for another thread to take a range, without sleeping, but not for long."""
+    """Wait about a millisecond at most until another thread begins a range, without sleeping."""
     looks = 0
     while _add(team, 0, 0) == 0 and looks < PATIENCE:
         looks += 1

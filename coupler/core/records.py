@@ -1,9 +1,9 @@
-"""The state of a simulation as records: dataclasses of arrays and numbers, and what is done with all their fields alike.
+"""The state of a simulation as records: dataclasses of arrays and numbers, and operations on all fields of a record.
 
 A field of a record is an array (annotated with its `Shape` or as `Rows`), a number, a string, another record, None, or a list or
-dict of these. What has a state derives from its record, as a target from `TargetState`: its attributes are the fields, and a line with
-a field is all that a checkpoint needs. `copied` and `put` save and restore all fields, parts included; `take`, `concatenate` and
-`scatter` treat all arrays with a row for each node, element or point.
+dict of these. A class with a state derives from its record, as `Target` from `TargetState`: a new field of the record needs one line,
+and checkpoints contain it. `copied` and `put` save and restore all fields, also of records inside the record. `take` and
+`concatenate` act on all arrays that have a row for each node, element or point.
 """
 
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ S = TypeVar("S", bound="Sums")
 
 @runtime_checkable
 class Kept(Protocol):
-    """A part of a simulation whose state needs more than to copy fields."""
+    """A part of a simulation that saves and restores its state by functions of its own."""
 
     def state(self) -> object:
         """The state of the part, for a checkpoint."""
 
     def restore(self, state: Any) -> None:
-        """Put a `state` into the part."""
+        """Set the part to a state that `state` returned."""
 
 
 class Sums:
-    """Base of records of sums from a start: those of two times can be added and subtracted, field by field."""
+    """Base of records of sums over time. Two such records can be added and subtracted, field by field."""
 
     def __add__(self: S, other: S) -> S:
         return type(self)(*(vars(self)[name] + value for name, value in vars(other).items()))
@@ -42,24 +42,21 @@ class Sums:
 
 
 class Shape:
-    """Says of an array field, in its annotation, which shape (-1 where the length is free) and type it has.
+    """Annotation of an array field: its shape, with -1 for a free length, and its type.
 
-    index_of: the objects that its numbers refer to, by the names of `check_indices`.
+    index_of: name of the objects that the numbers of the array refer to, see `check_indices`.
     """
-
-    per_row = False
 
     def __init__(self, *shape: int, dtype: DTypeLike = np.float64, index_of: str = ""):
         self.shape, self.dtype, self.index_of = shape, np.dtype(dtype), index_of
 
 
 class Rows(Shape):
-    """Says of an array field that it has a row of this shape for each node, element or point, `fill` to begin with.
+    """Annotation of an array field that has a row of this shape for each node, element or point. fill: initial value.
 
-    lammps: whether LAMMPS stores it. least: none of its values is smaller on a mesh made of points (None: than that of any point).
+    lammps: whether LAMMPS stores the array. least: lower bound of the values on a mesh made of points; None: the least value of the
+    points is the bound.
     """
-
-    per_row = True
 
     def __init__(
         self,
@@ -92,12 +89,12 @@ def shapes_of(record: object) -> dict[str, Shape]:
 
 
 def rows_of(record: object) -> dict[str, Rows]:
-    """The array fields that have a row for each node, element or point."""
+    """The array fields that have a row for each node, element or point, by name."""
     return {name: spec for name, spec in shapes_of(record).items() if isinstance(spec, Rows)}
 
 
 def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
-    """A record of n rows: the arrays `known`, all others with their fill value."""
+    """A record of n rows. known: arrays by name; all other arrays have their fill value."""
     return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
 
 
@@ -112,7 +109,7 @@ def unfit(problem: str) -> CheckpointError:
 
 
 def copied(record: R) -> R:
-    """The record that an object is or derives from, with arrays, dicts and parts of its own; None for None."""
+    """A copy of the record that an object is or derives from, with copies of its arrays, dicts and parts; None for None."""
     if record is None:
         return record
     kind = next(each for each in type(record).__mro__ if "__dataclass_fields__" in vars(each))
@@ -128,9 +125,8 @@ def _copied(value: object) -> object:
 
 
 def put(record: R, into: R) -> None:
-    """Write all fields of a record into those of an object that is such a record or derives from it. Arrays and parts keep their
-    place in memory; an array without rows takes any number of them. None is not written. Raises CheckpointError where a shape does
-    not fit."""
+    """Write all fields of a record into an object of its class or of a derived class. Arrays and parts of the object keep their place
+    in memory, but an empty array is replaced by one with rows. None is not written. Raises CheckpointError if a shape does not fit."""
     for name in (f.name for f in fields(record)):  # type: ignore[arg-type]
         value, own = vars(record)[name], vars(into)[name]
         if isinstance(value, np.ndarray) and value.shape == own.shape:
@@ -146,13 +142,14 @@ def put(record: R, into: R) -> None:
 
 
 def take(record: R, index: np.ndarray) -> R:
-    """The rows `index` of a record of arrays with a row for each node, element or point; its other fields stay."""
+    """A record with the rows `index` (numbers or a mask) of all arrays that have a row for each node, element or point."""
     rows = index.nonzero()[0] if index.dtype == bool else index
     return replace(record, **{name: np.take(array, rows, axis=0) for name, array in arrays_of(record).items()})  # type: ignore[type-var]
 
 
 def concatenate(records: Sequence[R]) -> R:
-    """All rows of several records of one kind, in their order, other fields as in the first; a single record is not copied."""
+    """A record with the rows of several records of one class, in their order. Other fields are from the first record. A single
+    record is not copied."""
     if len(records) == 1:
         return records[0]
     arrays = [arrays_of(record) for record in records]
@@ -160,17 +157,8 @@ def concatenate(records: Sequence[R]) -> R:
     return replace(records[0], **joined)  # type: ignore[type-var]
 
 
-def scatter(parts: Sequence[R], owners: Sequence[np.ndarray], n: int) -> R:
-    """One record of n rows out of parts of it: row k of part i is row owners[i][k]."""
-    whole = new_rows(type(parts[0]), n)
-    for ids, part in zip(owners, parts, strict=True):
-        for name, array in arrays_of(whole).items():
-            array[ids] = arrays_of(part)[name]
-    return whole
-
-
 def check_indices(record: object, **counts: int) -> None:
-    """Raise CheckpointError where an index refers to an object that does not exist. counts: number of objects by `index_of`."""
+    """Raise CheckpointError if an index refers to an object that does not exist. counts: number of objects by `index_of`."""
     for name, spec in shapes_of(record).items():
         value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):

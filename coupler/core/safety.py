@@ -1,26 +1,27 @@
-"""Safety factors of all explicit time steps: which share of its stability limit each step takes, and why.
+"""Safety factors of all explicit time steps: step over stability limit, with reasons.
 
-Central differences are stable up to 2 / omega of the highest frequency omega, explicit conduction up to 2 / (fastest rate). Where a
-limit is found by power iteration the safe bound of single cells or elements is known too: the step is never shorter than what that
-allows, and at most LONGEST times as long, whatever the iteration finds.
+Central differences are stable up to 2 / omega of the highest frequency omega, explicit conduction up to 2 / (fastest rate). A limit
+from power iteration is compared with the safe bound of single cells or elements: the step is between this bound and LONGEST times
+this bound.
 """
 
-# Points by their highest frequency (`particle.frequency`): the iteration is right to 2 %; the rest is for stress, viscosity and the
-# springs of the contact, which it leaves out (docs/theory/particle.md).
+# Points by their highest frequency (`particle.frequency`): the iteration is accurate to 2 %. The rest is for stress, viscosity and
+# contact springs, which the iteration does not include (docs/theory/particle.md).
 POINTS = 0.85
-# Points of the schemes with hourglass control: c dt over the spacing, and over the smallest principal stretch of a point; 0.5 to 0.98
-# of the true limit (docs/theory/particle.md).
+# Points of the schemes with hourglass control: c dt over the spacing, and c dt over the smallest principal stretch times the spacing.
+# The step is 0.5 to 0.98 of the true limit (docs/theory/particle.md).
 COURANT, STRETCH = 0.4, 0.9
-# Elements by their own bound, which bounds the whole mesh (`fe.kernels.stable_dt`): for what they stiffen while a step is kept.
+# Elements by the bound of single elements, which is valid for the mesh (`fe.kernels.stable_dt`). The rest is for stiffening of
+# elements while the step is constant.
 ELEMENTS = 0.85
-# The mesh by its highest frequency (`fe.stability`): a mode that becomes the fastest within ten steps is found too late.
+# The mesh by its highest frequency (`fe.stability`). The rest is for a mode that becomes the fastest one within ten steps.
 MESH = 0.85
 LONGEST = 3.0
-# Bonds between particle and target (`contact.particle_bonds`): row sums of their stiffness are a bound, masses and ends do not change.
+# Bonds between particle and target (`contact.particle_bonds`): the row sums of their stiffness are a bound; masses are constant.
 BONDS = 0.9
-# Springs of the contact: a point bears one to a second body too, where its mass is at least 0.78 of the lightest node's.
+# Contact springs: a point whose mass is at least 0.78 of the lightest node's mass may have springs to two bodies.
 CONTACT = 0.8
-# Bodies that move on after they have been brought to equilibrium (`target.equilibrium`): the step is kept between two searches.
+# Motion of the bodies after their equilibrium (`target.equilibrium`): the step is constant between two contact searches.
 SETTLED = 0.9
-# Conduction among points and among elements: Gershgorin bounds the fastest rate, conductivities change within the step.
+# Conduction among points and among elements: Gershgorin's bound of the fastest rate; conductivities change within the step.
 CONDUCTION = 0.9

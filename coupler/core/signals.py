@@ -1,4 +1,4 @@
-"""Signals that end what is computed as Ctrl-C does."""
+"""Signals that end a computation in the same way as Ctrl-C."""
 
 import contextlib
 import signal
@@ -9,7 +9,7 @@ from types import FrameType
 
 @contextlib.contextmanager
 def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
-    """While in use, these signals call the handler; in the main thread only, which has the signals."""
+    """Context in which these signals call the handler. Without effect outside the main thread, which alone receives signals."""
     is_main = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, handler) for number in numbers if is_main}
     try:

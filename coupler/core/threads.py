@@ -1,11 +1,11 @@
-"""Threads on further cores, for work that releases Python's lock (compiled kernels).
+"""Threads for compiled kernels, which release Python's lock.
 
-A run has as many threads as `threads_of` or `at_least` gave it. Compiled functions whose loops are divided (`loops`) are called by all
-of them (`together`); loops over kernels in Python are divided into ranges (`share`). Any thread takes the next range when it is free.
-A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
+`threads_of` and `at_least` set the number of threads of a run. `together` calls a compiled function with shared loops (`loops`) in all
+threads. `share` divides a loop in Python over kernels into ranges. A free thread does the next range. A kernel writes only the rows of
+its range, so that results do not depend on the number of threads.
 
-Why not numba's `prange`: with OpenMP a loop waits for a core that another process has (up to 19 times as long beside other work), with
-numba's own queue each loop takes 40 us more, and TBB, which is as fast as this, is a further package.
+Why not numba's `prange`: with OpenMP a loop waits for cores that other processes use (up to 19 times as long), with numba's own queue
+each loop takes 40 us more, and TBB, which is as fast as this module, needs one more package.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,7 +23,7 @@ from .cores import cores
 from .loops import FAILED, wait_for
 
 RANGES = 4  # of a loop in Python, for each thread, at most
-LEAST_ROWS = 4000  # in a range of `rows_at`
+LEAST_ROWS = 4000  # in a range of `rows_at`, at least
 R = TypeVar("R")
 
 
@@ -33,8 +33,8 @@ def _counters() -> Ints:
 
 
 class Team:
-    """`count` threads beside the calling one. Each runs all submitted tasks, in order, and returns at once from one that others have
-    already finished."""
+    """`count` threads in addition to the calling one. Each runs all submitted tasks in order; a task that others have finished returns
+    at once."""
 
     def __init__(self, count: int):
         self.count = count
@@ -45,14 +45,14 @@ class Team:
             thread.start()
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
-        """Submit work(team) to the other threads. Returns the team, which the caller passes to its own call."""
+        """Submit work(team) to the other threads. Returns the team for the caller's own call of work."""
         team, self._next = self._next, _counters()
         for queue in self._begun:
             queue.put((work, self._next))
         return team
 
     def share(self, work: Callable[[int], None], parts: int) -> None:
-        """Do work(0) to work(parts - 1), each once, in any thread; all are done on return. Raises what one of them raised."""
+        """Call work(0) to work(parts - 1), each once, in any thread, and wait for all. Raises an error of one of the calls."""
         left, done = iter(range(parts)), SimpleQueue[BaseException | None]()
 
         def take(_: Ints | None = None) -> None:
@@ -70,7 +70,7 @@ class Team:
                 raise error
 
     def close(self) -> None:
-        """End the threads, after the tasks that have begun."""
+        """End the threads after the submitted tasks."""
         for queue in self._begun:
             queue.put(None)
         for thread in self._threads:
@@ -88,19 +88,19 @@ class Team:
             wait_for(team)
 
 
-#: Of a run in this thread of Python: two runs in one process have a team each.
+#: Team of the run in this thread of Python: two runs in one process have two teams.
 _current: ContextVar[Team] = ContextVar("_current")
 _ALONE = Team(0)
 
 
 def _of(count: int) -> Team:
-    return Team(min(count, cores()) - 1)  # a thread more than there are cores only waits for one
+    return Team(min(count, cores()) - 1)  # more threads than cores would only wait
 
 
 @contextmanager
 def threads_of(count: int) -> Iterator[None]:
-    """Compute in `count` threads, at most one per core, within this context. BLAS has one: more would add up long products in another
-    order, and wait for cores that the others keep busy."""
+    """Context with `count` threads, at most one per core. BLAS has one thread: several would change the order of long sums, and wait
+    for busy cores."""
     before = _current.set(_of(count))
     try:
         with threadpool_limits(1, "blas"):
@@ -118,9 +118,9 @@ def at_least(count: int) -> None:
 
 
 def together(function: Callable[..., R], *arguments: object) -> R:
-    """function(team, *arguments), compiled, whose loops are `loops.ranges` of the team, in all threads.
+    """Call a compiled function(team, *arguments), whose loops are `loops.ranges` of the team, in all threads. Returns its result.
 
-    Raises what it raises in one of them.
+    Raises an error of one of the threads.
     """
     errors: list[BaseException] = []
 
@@ -139,7 +139,7 @@ def together(function: Callable[..., R], *arguments: object) -> R:
 
 
 def share(work: Callable[[int, int], None], count: int, least: int) -> None:
-    """Do work(lo, hi) over ranges that make up [0, count), `least` long or longer, in all threads."""
+    """Call work(lo, hi) for ranges of [0, count), each of at least `least` rows, in all threads."""
     team = _current.get(_ALONE)
     parts = max(1, min(RANGES * (team.count + 1), count // least)) if team.count else 1
     if parts == 1:
@@ -150,7 +150,7 @@ def share(work: Callable[[int, int], None], count: int, least: int) -> None:
 
 
 def rows_at(array: np.ndarray, rows: Ints) -> np.ndarray:
-    """array[rows], the rows divided among the threads."""
+    """array[rows], computed in all threads."""
     found = np.empty((len(rows), *array.shape[1:]), array.dtype)
 
     def fill(lo: int, hi: int) -> None:

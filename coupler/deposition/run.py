@@ -191,7 +191,7 @@ def _options(
     plan: Plan, folder: Path, progress: Progress | None, quiet: bool, threads: int | None, jobs: int, **asked: Any
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
-    ranks = parallel.arrange(parallel.world())
+    ranks = parallel.arrange()
     if threads is None:
         points = max(impact.points for impact in plan.impacts)
         free = cores() // ranks.size

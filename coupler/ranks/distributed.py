@@ -1,4 +1,4 @@
-"""The particle as the rank of the target sees it: all its points, on whichever ranks they are."""
+"""The particle on the root, the rank of the target: all its points, which other ranks compute."""
 
 import time as clock
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..core.records import scatter
+from ..core.records import arrays_of
 from ..particle.particle import LocalState, Particle, PointState, PointTotals
 from .ranks import STEP, Ranks, RemoteFailure, caught
 
@@ -16,21 +16,22 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class ParticleState:
-    """whole: all points as on a single rank, in the order they were given; totals: of all ranks."""
+    """whole: all points as on a single rank, in the order in which they were given. totals: sums over all ranks."""
 
     whole: LocalState
     totals: PointTotals
 
 
 class DistributedParticle:
-    """The particle as the root sees it: all its points, wherever they are. Has what one `particle.particle.Particle` has.
+    """The particle on the root: all its points, on one rank or on several. It has the attributes of `particle.particle.Particle`.
 
-    x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last chunk of steps, as totals. dt s; steps. waited: seconds this rank has waited for others in steps.
+    x, v, f_ext (n,3): of all points, in the order in which they were given. Within a chunk of steps x and v are updated only at points
+    that may be in contact. All others, and totals, are from the end of the last chunk. dt s; steps. waited: time, s, for which this rank
+    has waited for others in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
-        """local: the particle in one process, None where others have it; points: how many there are in all; spacing m."""
+        """local: the particle in one process, None if other ranks have it. points: number of points of all ranks. spacing m."""
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.steps, self.dt, self.waited = 0, 0.0, 0.0
         self._alone = ranks.size == 1
@@ -57,11 +58,8 @@ class DistributedParticle:
     # ---- between chunks of steps ------------------------------------------------------------------------------------------
 
     def ask(self, method: str, *arguments: object, each: Sequence[object] | None = None) -> list[Any]:
-        """Have every rank with points call a method of its part of the particle; the results, in order. each: a further argument
-        for each rank.
-
-        Raises the first error that one of them raised.
-        """
+        """Call a method of the particle's part on every rank that has one. Returns the results by rank. each: one more argument for
+        each rank. Raises the error of the first rank that failed."""
         if self._alone:
             return [getattr(self.local, method)(*arguments, *((each[0],) if each else ()))]
         r = self.ranks
@@ -73,7 +71,7 @@ class DistributedParticle:
         return answers
 
     def _gathered(self, own: object = None) -> list[Any]:
-        """What each rank has sent to the root, this one `own`, by rank."""
+        """Values that all ranks send to the root, by rank. own: value of the root."""
         values = self.ranks.comm.gather(own, root=self.ranks.root)
         assert values is not None, "only the root gathers"
         return values
@@ -83,7 +81,7 @@ class DistributedParticle:
         return self._joined(self.ask("get", name))
 
     def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
-        """An array of all points (n, ...) from those of the ranks."""
+        """An array of all points (n, ...) from the arrays of the ranks."""
         if self._alone:
             return parts[0]
         whole = np.empty((self.n, *parts[0].shape[1:]), parts[0].dtype)
@@ -91,18 +89,21 @@ class DistributedParticle:
             whole[ids] = part
         return whole
 
+    def _all(self, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Arrays of all points (n, ...), by name."""
+        return {name: self._joined([part[name] for part in parts]) for name in parts[0]}
+
     def _sum_up(self) -> PointTotals:
         self._points = None
         return PointTotals.over(self.ask("totals"))
 
     @property
     def points(self) -> PointState:
-        """State of all points between two chunks of steps, in the order they were given: to be read."""
+        """State of all points between two chunks of steps, in the order in which they were given. Read only."""
         if self._alone:
             return self._part.points
         if self._points is None:
-            parts: list[LocalState] = self.ask("state")
-            self._points = scatter([part.points for part in parts], self._owner, self.n)
+            self._points = self.state().whole.points
         return self._points
 
     def stress(self) -> np.ndarray:
@@ -110,27 +111,26 @@ class DistributedParticle:
         return self.whole("stress")
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal for a mesh of the points in their present positions, by name (`physics.metal`)."""
-        parts: list[dict[str, np.ndarray]] = self.ask("carried")
-        return {name: self._joined([part[name] for part in parts]) for name in parts[0]}
+        """State of the metal for a mesh of the points in their current positions, by name (`physics.metal`)."""
+        return self._all(self.ask("carried"))
 
     def warm(self, heat: np.ndarray) -> None:
-        """Put heat (n,) J into the temperature of the points."""
+        """Heat the points by heat (n,) J."""
         self.ask("warm", each=[heat[ids] for ids in self._owner])
         self._points = None
 
     def state(self) -> ParticleState:
-        """The state of the whole particle, points in the order they were given."""
+        """The state of the full particle, points in the order in which they were given."""
         parts: list[LocalState] = self.ask("state")
-        points = scatter([part.points for part in parts], self._owner, self.n)
+        points = replace(parts[0].points, **self._all([arrays_of(part.points) for part in parts]))
         sums, work = np.sum([part.sums for part in parts], axis=0), sum(part.internal_work for part in parts)
         return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), self.totals)
 
     def restore(self, state: ParticleState) -> None:
-        """Put a `state` into fresh parts, on any number of ranks. Raises CheckpointError where it does not fit."""
+        """Set new parts, on any number of ranks, to a state. Raises CheckpointError if it does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.steps, self.dt = state.whole.steps, state.whole.dt
-        self.totals = state.totals  # LAMMPS knows its strains again only after the next step
+        self.totals = state.totals  # LAMMPS computes its strains in the next step
         self._points = None
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")
@@ -140,10 +140,10 @@ class DistributedParticle:
     def run(
         self, steps: int, dt: float, begin: Callable[[], None], meet: Callable[[], None], needed: np.ndarray | None
     ) -> None:
-        """Make `steps` steps of dt seconds. In each: begin(), which needs no data of the particle; then x and v of the points `needed`
-        (k,) are updated to n+1; meet() fills in f_ext.
+        """Make `steps` steps of dt seconds. In each step begin(), which needs no data of the particle, is called first. Then x and v of
+        the points `needed` (k,) are updated to n+1, and meet() computes f_ext. needed: None for all points.
 
-        Raises the error of one of these functions or of a rank; all ranks have then ended the chunk.
+        Raises the error of one of these functions or of a rank, after all ranks have ended the chunk.
         """
         self.dt, self.failure = dt, None
         if self._alone:
@@ -202,13 +202,13 @@ class DistributedParticle:
                 raise answers[rank]
 
     def _try(self, work: Callable[[], None]) -> bool:
-        """Do work unless something failed before; whether it failed. Nobody may be left waiting because of it."""
+        """Call work() unless an error has occurred. Returns whether there is an error: the other ranks wait for this answer."""
         if self.failure is None:
             self.failure = caught(work)
         return self.failure is not None
 
     def idle(self, loop: float) -> list[float]:
-        """Share of `loop` seconds that each rank has waited for others in steps, by rank; empty in one process."""
+        """Time for which each rank has waited for others in steps, over `loop` s, by rank. Empty in one process."""
         if self._alone:
             return []
         r = self.ranks
@@ -216,7 +216,7 @@ class DistributedParticle:
         return [seconds / loop for seconds in self._gathered(self.waited)]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
-        """Call a function of a module on every rank. Returns their results, by rank."""
+        """Call a function of a module on every rank. Returns the results by rank."""
         if self._alone:
             return [work()]
         self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)

@@ -1,9 +1,9 @@
-"""Who runs where: one process, or ranks under mpiexec. Only this package imports mpi4py, beside what LAMMPS needs.
+"""Roles of the processes: one process, or ranks under mpiexec. Only this package imports mpi4py, apart from LAMMPS's communicator.
 
-The last rank, the *root*, holds the target, the contact, the ledger and the files; the others share the particle in equal parts. The
-root leads: between chunks of steps it asks them for what it needs (`DistributedParticle.ask`); within a chunk LAMMPS runs on each
-of them, and in every step they send positions and velocities of the points that may touch to the root and receive forces. In one
-process the root has the whole particle, and the same code exchanges nothing.
+The last rank, the *root*, computes the target, the contact and the ledger, and writes the files. The other ranks share the particle in
+equal parts. Between chunks of steps the root calls methods on the other ranks (`DistributedParticle.ask`). Within a chunk each other
+rank computes its part; in every step it sends to the root the positions and velocities of the points that may be in contact, and
+receives forces. In one process the root has the full particle and exchanges no data.
 """
 
 import os
@@ -29,7 +29,8 @@ _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
 
 @dataclass(frozen=True)
 class Ranks:
-    """The roles of the ranks. comm: communicator of all ranks; sph_comm: of the ranks that share the particle, None on others."""
+    """The roles of the ranks. comm: communicator of all ranks. sph_comm: communicator of the ranks that share the particle, None on the
+    root."""
 
     rank: int = 0
     size: int = 1
@@ -38,7 +39,7 @@ class Ranks:
 
     @property
     def root(self) -> int:
-        """The rank of the target, the last."""
+        """The last rank, which computes the target."""
         return self.size - 1
 
     @property
@@ -55,20 +56,14 @@ class Ranks:
         return self.rank in self.sph
 
 
-def world() -> Intracomm | None:
-    """The communicator of all processes that mpiexec started, or None in a single one."""
-    if not any(name in os.environ for name in _LAUNCHERS):
-        return None
-    return COMM_WORLD if COMM_WORLD.size > 1 else None
+def arrange() -> Ranks:
+    """The roles of this process and of all others that mpiexec started.
 
-
-def arrange(comm: Intracomm | None) -> Ranks:
-    """Decide who runs where.
-
-    Parts of the particle are equal: all ranks that have one meet inside LAMMPS twice in each step, before its forces and between its
-    stresses and its forces.
+    Parts of the particle are equal, because their ranks wait for each other in LAMMPS twice in each step: before the stresses and
+    between stresses and forces.
     """
-    if comm is None:
+    comm = COMM_WORLD
+    if not any(name in os.environ for name in _LAUNCHERS) or comm.size == 1:
         return Ranks()
     is_root = comm.rank == comm.size - 1
     sph_comm = comm.Split(int(is_root), comm.rank)
@@ -76,23 +71,21 @@ def arrange(comm: Intracomm | None) -> Ranks:
 
 
 class RemoteFailure(SolverError):
-    """A step was given up because another rank failed."""
+    """A step was stopped because another rank failed."""
 
 
 def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str, float]) -> None:
-    """On the root rank: make the others build their parts of the particle of impact i, its centre at place (3,) m.
-
-    numerics: of `particle.particle.Numerics`, which a retry changes: all ranks compute by the same.
-    """
+    """On the root: make the other ranks build their parts of the particle of impact i. place (3,) m: its centre. numerics: changed
+    fields of `particle.particle.Numerics`, as after a retry, by name."""
     if ranks.size > 1:
         ranks.comm.bcast(("impact", (i, place, dict(numerics)), None), root=ranks.root)
 
 
 @contextmanager
 def leading(ranks: Ranks) -> Iterator[None]:
-    """Context on the root rank in which the others `serve`; at its end they stop, with the error (if any) that ended the run.
+    """Context on the root in which the other ranks `serve`. At its end they stop, and raise the error that ended the run, if any.
 
-    An error that is not of the program takes all ranks down.
+    An unexpected error, one that is not a ColdsprayError or an interrupt, ends all ranks.
     """
     ended: BaseException | None = None
     try:
@@ -103,7 +96,7 @@ def leading(ranks: Ranks) -> Iterator[None]:
     except BaseException:
         if ranks.size > 1:
             traceback.print_exc()
-            abort(ranks.comm, "coldspray: the rank with the target failed; all ranks are stopped", 1)
+            abort(ranks.comm, "coldspray: the rank of the target failed; all ranks are stopped", 1)
         raise
     finally:
         if ranks.size > 1:
@@ -111,11 +104,10 @@ def leading(ranks: Ranks) -> Iterator[None]:
 
 
 def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
-    """Main loop of a rank without the target: build its part of each particle and serve the root's requests until the end.
+    """Main loop of a rank other than the root: build its part of each particle and execute the root's requests until the run ends.
 
-    build(i, place, numerics): this rank's part of the particle of impact i.
-
-    Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
+    build(i, place, numerics): this rank's part of the particle of impact i. Raises the error that ended the run, if any. Any other
+    error ends all ranks.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root stops the run and reports it
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -147,7 +139,7 @@ def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], 
 
 
 class _Worker:
-    """A rank's part of the particle and its side of the exchange."""
+    """A rank's part of the particle, and its exchange of data with the root."""
 
     def __init__(self, ranks: Ranks, local: Particle | None):
         self.ranks, self.local, self.waited = ranks, local, 0.0
@@ -174,26 +166,27 @@ class _Worker:
             self.waited += clock.perf_counter() - started
             p.f_ext[rows] = inbox[1:].reshape(-1, 3)
             if inbox[0] and p.failure is None:
-                raise RemoteFailure("given up")
+                raise RemoteFailure("stopped: another rank failed")
 
         try:
             p.run(steps, dt, on_step)
         finally:
             outbox[0] = 1.0
-            for _ in range(steps - done):  # LAMMPS has stopped early: the root still counts to the end of the chunk
+            for _ in range(steps - done):  # LAMMPS has stopped early: the root waits for all steps of the chunk
                 comm.Send(outbox, dest=root, tag=STEP)
                 comm.Recv(inbox, source=root, tag=STEP)
 
 
 def attempt(worker: _Worker, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
-    """Call a method of a rank's part of the particle, or its side of a chunk of steps; the result or the error."""
+    """Call a method of a rank's part of the particle, or `run_steps` of the worker. each: one more argument for each rank. Returns the
+    result or the error."""
     if each is not None:
         arguments = (*arguments, each[worker.ranks.rank])
     return caught(lambda: getattr(worker if method == "run_steps" else worker.local, method)(*arguments))
 
 
 def caught(work: Callable[[], R]) -> R | BaseException:
-    """The result of work, or the error it raised, in a form that can travel."""
+    """The result of work(), or the error it raised, in a form that can be sent to another rank."""
     try:
         return work()
     except (ColdsprayError, KeyboardInterrupt) as error:
@@ -204,6 +197,6 @@ def caught(work: Callable[[], R]) -> R | BaseException:
 
 
 def abort(comm: Intracomm, message: str, code: int) -> None:
-    """Say what happened, once, and take all ranks down."""
+    """Print a message and end all ranks with an exit code."""
     print(message, file=sys.stderr, flush=True)
     comm.Abort(code)
