@@ -1,4 +1,4 @@
-"""A call in a process of its own, which may die or hang: gmsh ends with a segmentation fault on some surfaces."""
+"""Calls in a separate process, which may die or hang: gmsh ends with a segmentation fault on some surfaces."""
 
 import os
 import pickle
@@ -17,18 +17,17 @@ ROOT = str(Path(__file__).resolve().parents[2])
 
 
 def apart(call: Callable[[], T], time_limit: float) -> T:
-    """The result of call() in a process of its own. call: the `functools.partial` of a function of a module.
+    """The result of call() in a separate process. call: the `functools.partial` of a function of a module.
 
-    Raises the ColdsprayError of the call; SplatError where the process dies, or takes more than time_limit s and is killed.
+    Raises the ColdsprayError of the call; SplatError if the process dies, or runs longer than time_limit s and is killed.
     """
+    paths = os.pathsep.join(path for path in (ROOT, os.environ.get("PYTHONPATH")) if path)
     with tempfile.TemporaryDirectory(prefix="apart-") as name:
-        folder = Path(name)
-        (folder / "call").write_bytes(pickle.dumps(call))
-        paths = os.pathsep.join(path for path in (ROOT, os.environ.get("PYTHONPATH")) if path)
+        result_file = Path(name) / "result"
         try:
             done = subprocess.run(
-                [sys.executable, "-m", __name__, name], stdin=subprocess.DEVNULL, capture_output=True, timeout=time_limit,
-                env={**os.environ, "PYTHONPATH": paths}, check=False,
+                [sys.executable, "-m", __name__, str(result_file)], input=pickle.dumps(call), capture_output=True,
+                timeout=time_limit, env={**os.environ, "PYTHONPATH": paths}, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise SplatError(f"the mesher did not finish within {time_limit:g} s: try another element size") from None
@@ -38,21 +37,15 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
             )
         if done.returncode > 0:
             raise SplatError(f"the mesher failed: {done.stderr.decode(errors='replace').strip().splitlines()[-1]}")
-        result = pickle.loads((folder / "result").read_bytes())
+        result = pickle.loads(result_file.read_bytes())
     if isinstance(result, ColdsprayError):
         raise result
     return cast(T, result)
 
 
-def main(folder: Path) -> None:
-    """Main function of the process: make the call and write its result or ColdsprayError into the folder."""
-    call = pickle.loads((folder / "call").read_bytes())
+if __name__ == "__main__":
     try:
-        result = call()
+        result = pickle.load(sys.stdin.buffer)()
     except ColdsprayError as problem:
         result = problem
-    (folder / "result").write_bytes(pickle.dumps(result))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    Path(sys.argv[1]).write_bytes(pickle.dumps(result))

@@ -1,4 +1,4 @@
-"""Extents of a body by its volume: what a few vertices of a thin jet cannot set."""
+"""Extents of a body by its volume, on which a thin jet has little effect."""
 
 from math import acos, cos, pi
 
@@ -8,28 +8,28 @@ from ..compiling import njit
 from ..core.arrays import Floats, Ints
 from .vector_kernels import area_vector, dot
 
-#: Share of the volume that lies within an extent. A jet has less than the rest of it, and a section shows the splat as wide and high.
+#: Fraction of the volume within an extent. A jet has less than the rest of the volume.
 SHARE = 0.99
-#: Of the diameter of a sphere: the part between two planes that each cut off half of what is left, caps of the volume
-#: h^2 (3 R - h) / 4 R^3; the root of this cubic, by cosines.
+#: Distance over diameter of two planes with this fraction of a sphere between them. Each cap has the volume fraction
+#: h^2 (3 R - h) / 4 R^3; the value is the root of this cubic, by cosines.
 OF_SPHERE = -2.0 * cos((acos(SHARE) + 4.0 * pi) / 3.0)
-CLOSE = 1e-10  # of the volume: how well a plane cuts off its share
+CLOSE = 1e-10  # of the volume: tolerance of the volume below a plane
 UP = np.array([0.0, 0.0, 1.0])
-DIRECTIONS = 8  # in which a width is taken, over half a turn
+DIRECTIONS = 8  # of the widths, over half a turn
 
 
 def extent(points: Floats, triangles: Ints, direction: Floats) -> tuple[float, float]:
-    """Where a body begins and ends along a direction, m: SHARE of its volume lies between two planes, half of the rest beyond each, and
-    their distance is stretched about its middle as much as that of a sphere has to be to give its diameter.
+    """Ends of a body along a direction, m. Two planes have SHARE of the volume between them, and half of the rest on each other side.
+    Their distance is divided by OF_SPHERE, so that the extent of a sphere is its diameter.
 
-    points (n,3) m and triangles (m,3) of a closed surface, facing outwards; direction (3,), a unit vector.
+    points (n,3) m and triangles (m,3), outwards, of a closed surface; direction (3,), a unit vector.
     """
     return _extent(points[triangles], direction)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _extent(corners: Floats, direction: Floats) -> tuple[float, float]:
-    """`extent` of the body whose triangles have these corners (m,3,3) m; the ends of one without volume."""
+    """`extent` of the body whose triangles have the corners (m,3,3) m. For a body without volume: the limits of its corners."""
     height, shade = np.empty((len(corners), 3)), np.empty(len(corners))
     d = direction[0], direction[1], direction[2]
     for t in range(len(corners)):
@@ -51,8 +51,8 @@ def _extent(corners: Floats, direction: Floats) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _level(share: float, low: float, high: float, whole: float, height: Floats, shade: Floats) -> float:
-    """The plane (m) between low and high below which a share of the whole volume (m3) lies: false position, in which an end that stays
-    loses half its weight (Illinois; Dowell & Jarratt 1971, BIT 11, 168)."""
+    """Height (m), between low and high, of the plane with a share of the volume `whole` (m3) below it. Illinois variant of false
+    position (Dowell & Jarratt 1971, BIT 11, 168)."""
     a, f_a, b, f_b = low, -share, high, 1.0 - share
     for _ in range(100):
         z = (a * f_b - b * f_a) / (f_b - f_a)
@@ -69,19 +69,19 @@ def _level(share: float, low: float, high: float, whole: float, height: Floats, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _volume_below(z: float, height: Floats, shade: Floats) -> float:
-    """Volume (m3) of a body below the plane at z m, by the divergence theorem for the field (height - z) normal to that plane.
+    """Volume (m3) of a body below the plane at z m: divergence theorem for the field (height - z) normal to the plane.
 
-    height (m,3) m of the corners of each triangle of the surface, ascending; shade (m,) m2: its area seen along the normal, signed.
-    The integral of min(height - z, 0) over a triangle is its area times a cubic of the corners' heights.
+    height (m,3) m: of the corners of each triangle of the surface, ascending; shade (m,) m2: signed area projected on the plane. The
+    integral of min(height - z, 0) over a triangle is its area times a cubic of the heights.
     """
     volume = 0.0
     for t in range(len(shade)):
         a, b, c = height[t, 0] - z, height[t, 1] - z, height[t, 2] - z
         if c <= 0.0:
             volume += shade[t] * (a + b + c) / 3.0
-        elif b <= 0.0:  # the highest corner alone is above
+        elif b <= 0.0:  # only the highest corner is above
             volume += shade[t] * ((a + b + c) / 3.0 - c * c * c / (3.0 * (c - a) * (c - b)))
-        elif a < 0.0:  # the lowest alone is below
+        elif a < 0.0:  # only the lowest corner is below
             volume += shade[t] * a * a * a / (3.0 * (b - a) * (c - a))
     return volume
 
@@ -89,9 +89,9 @@ def _volume_below(z: float, height: Floats, shade: Floats) -> float:
 def shape_measures(points: Floats, triangles: Ints, diameter: float) -> dict[str, float]:
     """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
 
-    Height above that plane, thickness from the lowest to the highest point, diameter seen from above (mean of widths), each an
-    `extent`; both flattening ratios: 1 - height / D0, and 1 - thickness / D0. jet_length_m: how far the surface reaches beyond these
-    extents. points (n,3) m and triangles (m,3) of its closed surface.
+    Height above this plane, thickness from the lowest to the highest point, and diameter in the top view (mean of widths), each from an
+    `extent`. Flattening ratios: 1 - height / D0, and in total 1 - thickness / D0. jet_length_m: largest distance of the surface outside
+    the extents. points (n,3) m and triangles (m,3) of the closed surface; diameter: D0.
     """
     corners = points[np.unique(triangles)]
     bottom, top = extent(points, triangles, UP)

@@ -1,16 +1,16 @@
-"""The package open3d, loaded when it is first needed."""
+"""The package open3d, loaded at its first use."""
 
 import sys
 from types import ModuleType
 
 from ..errors import DependencyError
 
-# For machine learning and notebooks: their imports take up to two seconds and need dash, pandas, scikit-learn.
+# Modules for machine learning and notebooks: their import takes up to two seconds and needs dash, pandas, scikit-learn.
 UNUSED = ("open3d.ml", "open3d.visualization.draw_plotly")
 
 
 class _Unused(ModuleType):
-    """A module that has every name, so that `from ... import` passes."""
+    """A module with every name, so that `from ... import` succeeds."""
 
     def __getattr__(self, name: str) -> None:
         if name.startswith("__"):
@@ -18,17 +18,17 @@ class _Unused(ModuleType):
 
 
 def open3d() -> ModuleType:
-    """open3d without UNUSED, silent but for errors. Raises DependencyError where it is missing or incomplete, KeyboardInterrupt where
-    its loading is interrupted."""
+    """open3d without UNUSED; it prints errors only. Raises DependencyError if it is missing or incomplete, KeyboardInterrupt if the
+    import is interrupted."""
     if "open3d" not in sys.modules:
         for name in UNUSED:
             sys.modules.setdefault(name, _Unused(name))
     try:
-        import open3d as package  # 0.6 s of processor time and 180 MB, which a single impact does not need
+        import open3d as package  # 0.6 s of processor time and 180 MB: a single impact does not need it
 
         package.utility.set_verbosity_level(package.utility.VerbosityLevel.Error)
     except (ImportError, AttributeError, OSError) as problem:
-        if isinstance(problem.__cause__, KeyboardInterrupt):  # Ctrl-C while its compiled part starts
+        if isinstance(problem.__cause__, KeyboardInterrupt):  # Ctrl-C during the import of its compiled part
             raise problem.__cause__ from None
         raise DependencyError(
             f"open3d cannot be loaded ({problem}): install it again. The packages open3d-cpu and open3d (with CUDA) have the same"

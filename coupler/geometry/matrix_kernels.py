@@ -1,11 +1,11 @@
-"""3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
+"""3x3 matrices as tuples, row by row (numba): inverse, products, transpose, rotation of a deformation gradient."""
 
 from math import acos, cos, pi, sqrt
 
 from ..compiling import njit
 from ..core.arrays import Floats, Matrix, Vector
 
-ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic what changes the last bits alone, and does not hide a NaN
+ROUNDING = {"contract", "arcp", "nsz"}  # options of fast arithmetic that change only the last bits and keep NaN
 ZERO = (0.0,) * 9
 LARGEST, SMALLEST = 0.0, 2.0 * pi / 3.0  # rad: which root of the characteristic equation, see `eigenvalue`
 
@@ -75,7 +75,7 @@ def transposed(a: Matrix) -> Matrix:
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def polar(F: Matrix) -> Matrix:
-    """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
+    """Rotation of F to a few digits, without a start value: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
     R = F
     for _ in range(12):
         (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = inverse(R)

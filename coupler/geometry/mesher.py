@@ -1,6 +1,6 @@
-"""Tetrahedral meshes by gmsh: of solids that it builds itself, and inside closed surfaces. The only module that imports gmsh.
+"""Tetrahedral meshes by gmsh: of simple solids, and inside closed surfaces. The only module that imports gmsh.
 
-gmsh can hang, or end its process: the program calls these functions in one of their own (`geometry.apart`).
+gmsh can hang, or end its process: the program calls these functions in a separate process (`geometry.apart`).
 """
 
 import math
@@ -18,38 +18,38 @@ from .tetrahedra import COARSEST, oriented
 HXT, DELAUNAY = 10, 1
 
 
-def build(
-    model: Callable[[ModuleType], None], name: str = "target", algorithm: int = HXT
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit it uses.
+def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit of the model.
 
-    Sizes come from what `model` sets, never from curvature or points. Raises SolverError where gmsh makes nothing, and
-    whatever gmsh raises.
+    The model sets the element size; curvature and points do not change it. Raises SolverError if gmsh makes no element, and all errors
+    of gmsh.
     """
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)  # the same mesh on every machine
-        gmsh.model.add(name)
+        gmsh.model.add("solid")
         for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
             gmsh.option.setNumber(f"Mesh.{option}", 0)
         gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
-        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers that would set dt
+        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers, which would limit dt
         model(gmsh)
         gmsh.model.mesh.generate(3)
         tags, coords, _ = gmsh.model.mesh.getNodes()
         _, nodes = gmsh.model.mesh.getElementsByType(4)
     finally:
         gmsh.finalize()
-        if threading.current_thread() is threading.main_thread():  # others may not
-            signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it; gmsh makes a broken pipe end the process
+        if threading.current_thread() is threading.main_thread():  # other threads may not set it
+            signal.signal(
+                signal.SIGPIPE, signal.SIG_IGN
+            )  # Python's default; with gmsh's a broken pipe ends the process
     if len(nodes) == 0:
         raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
     lookup = np.zeros(int(tags.max()) + 1, np.int64)
     lookup[tags.astype(np.int64)] = np.arange(len(tags))
     tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
     points = coords.reshape(-1, 3)
-    used, tets = np.unique(tets, return_inverse=True)  # geometry points that carry no element
+    used, tets = np.unique(tets, return_inverse=True)  # without points of the geometry that have no element
     return points[used], tets.reshape(-1, 4)
 
 
@@ -59,11 +59,11 @@ def cylinder(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
 
-    Element edges are `size` within refined_radius of a disc on the top face, of radius `spread` about `centre`, and grow by `growth`
-    per unit of distance beyond, up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from
-    the x axis on (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
+    Element edges are `size` within refined_radius of a disc on the top face, whose radius is `spread` and whose centre is `centre`.
+    Outside they grow by `growth` per unit of distance up to sizes_to (default: a sixth of the smaller dimension). sector: angle, rad,
+    of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0.
     """
-    unit = size  # gmsh's absolute tolerances want numbers near one
+    unit = size  # gmsh has absolute tolerances for numbers near one
     most = (sizes_to or COARSEST * min(diameter, height)) / unit
 
     def model(gmsh: ModuleType) -> None:
@@ -97,13 +97,11 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
 
 
 def fill(
-    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT, improve: float = 0.45
+    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
+    """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces, which do not change.
 
-    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
-    lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
-    all that a bad surface allows in reasonable time. Raises SplatError where gmsh cannot.
+    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. Raises SplatError if gmsh fails.
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -122,10 +120,11 @@ def fill(
         gmsh.model.geo.synchronize()
         gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
-        gmsh.option.setNumber("Mesh.OptimizeThreshold", improve)
+        # quality below which elements are optimised; at the default 0.3 the worst one has a time step some 30 % shorter
+        gmsh.option.setNumber("Mesh.OptimizeThreshold", 0.45)
 
     try:
-        points, tets = build(model, "splat", algorithm)
+        points, tets = build(model, algorithm)
     except SolverError:
         raise SplatError("gmsh made no tetrahedra inside the surface: try another element size") from None
     except Exception as problem:  # gmsh raises plain Exception

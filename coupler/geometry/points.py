@@ -1,4 +1,4 @@
-"""Points: how deep they lie in a mesh; their order along a curve; cleaning of clouds."""
+"""Points: their tetrahedra and depths in a mesh; their order along a curve; cleaning of clouds."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,21 +6,24 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from .raycast import RaySurface
-from .tetrahedra import boundary_faces
+from .tetrahedra import boundary_faces, volumes
 
-SAME_PLACE = 1e-4  # spacings: points so close are one
-NEAR = 32  # tetrahedra with the nearest centres, in one of which a point inside a mesh lies
-AT_ONCE = 4096  # points in a part of `depths`: some 100 MB
-LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
+SAME_PLACE = 1e-4  # spacings: points that are closer are one point
+NEAR = 32  # tetrahedra with the nearest centres; a point inside a mesh is in one of them
+AT_ONCE = 4096  # points in a block of `in_tets`: some 100 MB
+ROUNDING = 1e-9  # of a barycentric coordinate
+LEAST_KEPT = 0.9  # fraction of the points; if fewer would remain, the cloud is not cleaned
 BITS = 16  # of each coordinate in the key of `morton`
-FLAT = 0.015  # of the variance of neighbours: less of it along their normal is a surface
-LONELY = 2.5  # spacings: a point without another one so near is no part of a body
+FLAT = (
+    0.015  # variance of the neighbours along their normal over the sum of variances: below it the points are a surface
+)
+LONELY = 2.5  # spacings: a point whose nearest neighbour is farther away is not part of a body
 
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
-    """Which of points x (n,3) m to keep: each position once, without isolated points; and what is left out, as text."""
+    """Indices of the points x (n,3) m to keep: each position once, without isolated points. Second result: texts on omitted points."""
     finite = np.isfinite(x).all(axis=1)
-    if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # reported by the check of the cloud
+    if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # the check of the cloud reports it
         return np.arange(len(x)), []
     pairs = cKDTree(x).query_pairs(SAME_PLACE * spacing, output_type="ndarray")
     first = np.setdiff1d(np.arange(len(x)), pairs.max(axis=1, initial=-1))
@@ -32,10 +35,10 @@ def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
 
 
 def is_shell(x: NDArray) -> bool:
-    """Whether points x (n,3) lie on a surface: most have their nearest neighbours in a plane.
+    """Whether points x (n,3) are on a surface: the nearest neighbours of most points are in a plane.
 
-    The least variance of ten neighbours over the sum of all three is .15 to .27 in bodies, .17 in two layers, below .014 on spheres of
-    160 points and more.
+    The smallest principal variance of ten neighbours over the sum of all three is 0.15 to 0.27 in bodies, 0.17 in two layers, and below
+    0.014 on spheres of 160 points and more.
     """
     some = x[:: max(1, len(x) // 1000)]
     near = x[cKDTree(x).query(some, k=11)[1]]
@@ -44,21 +47,31 @@ def is_shell(x: NDArray) -> bool:
     return bool(np.median(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-300)) < FLAT)
 
 
-def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0) -> NDArray[np.float64]:
-    """Distance (k,) m of points x (k,3) inside the tetrahedra (m,4) of points (n,3) from their boundary, where it is larger than
-    `least` m; else 0, as outside.
-
-    Only the NEAR tetrahedra with the nearest centres are tried.
-    """
-    centres, inside = cKDTree(points[tets].mean(axis=1)), np.zeros(len(x), bool)
+def in_tets(points: NDArray, tets: NDArray, x: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The tetrahedron (k,) of tets (m,4) on points (n,3) that contains each of x (k,3), -1 outside, and the barycentric coordinates
+    (k,4) of x in it, 0 outside. Tetrahedra without volume contain no point."""
+    solid, owner, share = np.flatnonzero(volumes(points, tets)), np.full(len(x), -1), np.zeros((len(x), 4))
+    centres = cKDTree(points[tets[solid]].mean(axis=1))
     for rows in np.array_split(np.arange(len(x)), len(x) // AT_ONCE + 1):
-        candidates = centres.query(x[rows], np.arange(1, min(NEAR, len(tets)) + 1))[1]
+        candidates = solid[centres.query(x[rows], np.arange(1, min(NEAR, len(solid)) + 1))[1]]
         corner = points[tets[candidates]]
         edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
-        weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
-        inside[rows] = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
+        three = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
+        four = np.concatenate([1.0 - three.sum(axis=2, keepdims=True), three], axis=2)
+        best = four.min(axis=2).argmax(axis=1)[:, None]
+        weights = np.take_along_axis(four, best[:, :, None], axis=1)[:, 0]
+        inside = weights.min(axis=1) > -ROUNDING
+        owner[rows[inside]] = np.take_along_axis(candidates, best, axis=1)[inside, 0]
+        share[rows[inside]] = weights[inside]
+    return owner, share
+
+
+def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0) -> NDArray[np.float64]:
+    """Distance (k,) m from the boundary of the tetrahedra (m,4) of points (n,3) to the points x (k,3) inside them. 0 for points
+    outside, and for distances up to `least` m."""
+    inside = in_tets(points, tets, x)[0] >= 0
     depth, facets = np.zeros(len(x)), boundary_faces(tets)[0]
-    # the boundary is no farther than the nearest of its nodes: mostly no point is left, and open3d is not loaded
+    # the distance to a node is an upper bound: usually no point is left, and open3d is not loaded
     inside[inside] = cKDTree(points[np.unique(facets)]).query(x[inside])[0] > least
     if inside.any():
         feet = RaySurface(points, facets, closed=False).feet(x[inside])[0]
@@ -67,8 +80,8 @@ def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0) -> ND
 
 
 def morton(x: NDArray) -> NDArray[np.uint64]:
-    """Key (n,) of points x (n,3) along the curve of Morton (1966), which interleaves the bits of their coordinates: points that are
-    near along it are near in space."""
+    """Key (n,) of points x (n,3) along the curve of Morton (1966), which interleaves the bits of the coordinates: points with
+    neighbouring keys are near each other in space."""
     low = x.min(axis=0)
     extent = float((x.max(axis=0) - low).max()) or 1.0
     cells = ((x - low) * ((2**BITS - 1) / extent)).astype(np.uint64)
@@ -80,8 +93,8 @@ def morton(x: NDArray) -> NDArray[np.uint64]:
 
 
 def points_near(tree: cKDTree, places: np.ndarray, reach: float, least: int, instead: int) -> csr_array:
-    """Matrix (k,n) with a 1 for each point of a tree that lies within reach (m) of each of places (k,3) m, columns ascending; where
-    there are fewer than `least`, for the `instead` nearest ones."""
+    """Matrix (k,n) with a 1 for each point of a tree within reach (m) of each of places (k,3) m, columns ascending. If fewer than
+    `least` points are within reach, the `instead` nearest points have a 1."""
     found = cKDTree(places).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
     few = np.bincount(found.row, minlength=len(places)) < least
     instead = min(instead, tree.n)

@@ -1,4 +1,4 @@
-"""Products of sparse matrices and systems of equations, their rows divided among the threads (numba)."""
+"""Products and systems of equations with sparse matrices, in all threads (numba)."""
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
@@ -12,24 +12,25 @@ LEAST = 2000  # rows in a range, at least
 
 
 def times(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
-    """A x of a matrix (n,k) and x (k,)."""
+    """A x (n,) for a matrix A (n,k) and x (k,)."""
     product = np.empty(A.shape[0])
     share(lambda lo, hi: _products(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
 
 
 def times_rows(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
-    """A x of a matrix (n,k) and x (k,3)."""
+    """A x (n,3) for a matrix A (n,k) and x (k,3)."""
     product = np.empty((A.shape[0], 3))
     share(lambda lo, hi: products_of_rows(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
 
 
 def solve(A: csr_array, b: np.ndarray, x: np.ndarray, tolerance: float, most: int) -> bool:
-    """Solve A x = b of a positive definite matrix, whose rows begin with their diagonals, by conjugate gradients with these as
-    preconditioner (Hestenes & Stiefel 1952, J. Res. NBS 49, 409).
+    """Solve A x = b by conjugate gradients (Hestenes & Stiefel 1952, J. Res. NBS 49, 409) with the diagonal as preconditioner. A:
+    positive definite; the first entry of each row is its diagonal.
 
-    x (n,): the start, and then the solution, with a residual of `tolerance` |b|. Returns whether `most` iterations are enough.
+    x (n,): the start value, overwritten by the solution with a residual of at most `tolerance` |b|. Returns whether the solution is
+    found in `most` iterations.
     """
     inverse, r, beta = 1.0 / A.data[A.indptr[:-1]], b - times(A, x), 0.0
     (p, q), sums = np.zeros((2, len(b))), np.zeros((PARTS, 3))
@@ -48,7 +49,7 @@ def _iterate(
     team: Ints, indptr: Ints, indices: Ints, data: Floats, inverse: Floats, beta: float, rz: float, x: Floats, r: Floats, p: Floats,
     q: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """An iteration of `solve`. sums (PARTS,3), part by part: p . A p, and of the new residual r . z and r . r."""
+    """An iteration of `solve`. sums (PARTS,3), by parts: p . A p, then r . z and r . r of the new residual."""
     for lo, hi, _ in ranges(team, 0, len(x), LEAST):
         for i in range(lo, hi):
             p[i] = inverse[i] * r[i] + beta * p[i]

@@ -1,7 +1,7 @@
-"""Queries of triangulated surfaces by ray casting (open3d, Embree). The only module that imports open3d for them.
+"""Queries of triangulated surfaces by ray casting (open3d, Embree).
 
-Embree computes in single precision: coordinates are taken from the middle of the surface and made of its size, so that they are
-exact to 1e-7 of it. Inside and outside are those of a closed surface, which is checked first.
+Embree computes in single precision. Coordinates are relative to the middle of the surface and scaled by its size: their error is 1e-7
+of the size.
 """
 
 from collections.abc import Callable
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 class RaySurface:
-    """A surface of points (n,3) m and triangles (m,3) for rays and distances. Loads open3d when it is made.
+    """A surface of points (n,3) m and triangles (m,3) for queries of rays and distances. The constructor loads open3d.
 
-    closed: it must be closed and oriented; raises SplatError where it is not.
+    closed: the surface must be closed and oriented; raises SplatError if it is not.
     """
 
     def __init__(self, points: NDArray, triangles: NDArray, closed: bool = True):
@@ -30,7 +30,7 @@ class RaySurface:
         if closed and (problem := open_or_double(np.asarray(triangles, np.int64))):
             raise SplatError(f"the surface is not closed: {problem}")
         self._tensor: Callable[[NDArray], Tensor] = o3d.core.Tensor.from_numpy
-        used = occurring(triangles, len(points))  # a surface can have a few of many points
+        used = occurring(triangles, len(points))  # a surface may use few of the points
         number = np.zeros(len(points), np.uint32)
         number[used] = np.arange(len(used))
         points, triangles = points[used], number[triangles]
@@ -41,11 +41,11 @@ class RaySurface:
         self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
-        """Points in the form of open3d."""
+        """Scaled points as a tensor of open3d."""
         return self._tensor(np.ascontiguousarray((x - self.middle) / self.unit, np.float32))
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:
-        """Distance (k,) m of points x (k,3) m from a closed surface where they lie outside it, else 0."""
+        """Distance (k,) m of points x (k,3) m outside a closed surface from it; 0 for points inside."""
         distance, out = np.zeros(len(x)), np.flatnonzero(~self.inside(x))
         distance[out] = self._scene.compute_distance(self._single(x[out]), nthreads=1).numpy()
         return distance * self.unit
@@ -55,15 +55,16 @@ class RaySurface:
         return self._scene.compute_occupancy(self._single(x), nthreads=1).numpy() > 0.5
 
     def windings(self, x: NDArray) -> NDArray[np.int64]:
-        """Winding number of the closed surface about points x (k,3) m: 0 outside, 1 inside, 2 where the surface overlaps itself."""
-        # no line then passes through an edge of a symmetric surface
+        """Winding number (k,) of the closed surface about points x (k,3) m: 0 outside, 1 inside, 2 where the surface overlaps
+        itself."""
+        # with this offset no line passes through an edge of a symmetric surface
         aside = 1e-3 * self.unit * np.array([0.731, 1.237])
         line, height, triangle = self.on_verticals(*(x[:, :2] + aside).T)
         above = height > x[line, 2]
         return np.bincount(line[above], self._upwards[triangle[above]], len(x)).astype(np.int64)
 
     def feet(self, x: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """The point (k,3) m of the surface closest to each of x (k,3) m, the index of its triangle (k,) and its barycentric coordinates
+        """The closest points (k,3) m of the surface to x (k,3) m, the indices of their triangles (k,) and their barycentric coordinates
         (k,3)."""
         closest = self._scene.compute_closest_points(self._single(x), nthreads=1)
         points = closest["points"].numpy().astype(float) * self.unit + self.middle
@@ -73,7 +74,7 @@ class RaySurface:
 
     def on_verticals(self, x: NDArray, y: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
         """Crossings of vertical lines at x, y (k,) m with the surface: line (c,), height (c,) m and triangle (c,) of each."""
-        low = -60.0  # where the lines begin, below everything
+        low = -60.0  # start of the lines, below the surface
         rays = np.zeros((len(x), 6), np.float32)
         rays[:, 0], rays[:, 1] = (x - self.middle[0]) / self.unit, (y - self.middle[1]) / self.unit
         rays[:, 2], rays[:, 5] = low, 1.0

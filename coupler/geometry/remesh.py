@@ -1,8 +1,8 @@
-"""Isotropic remeshing of a closed surface: edges collapsed, split and flipped, vertices relaxed (Botsch & Kobbelt 2004).
+"""Isotropic remeshing of a closed surface: edges are collapsed, split and flipped, vertices relaxed (Botsch & Kobbelt 2004).
 
-Every operation keeps the surface closed and its topology: an edge is collapsed only where its ends share exactly two
-neighbours (Dey et al. 1999), and flipped only where the new edge does not exist. The operations of one pass share no
-triangle; the tables of neighbours are built again after each pass.
+No operation opens the surface or changes its topology: an edge is collapsed only if its ends have exactly two common neighbours (Dey et
+al. 1999), and flipped only if the new edge does not exist. The operations of one pass have no common triangle; the tables of neighbours
+are computed after each pass.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from ..core.arrays import Floats, Ints
 from .triangles import compact, vertex_normals
 from .triangles import edges as directed_edges
 
-SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
+SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths do not change
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
 ROUNDS = 5
 TIE = 1e-6
@@ -23,14 +23,14 @@ TIE = 1e-6
 def even(
     vertices: np.ndarray, triangles: np.ndarray, size: float, project: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """A closed surface (k,3) m, (m,3) with edges of about `size` m, of the same topology.
+    """A closed surface (k,3) m, (m,3) of the same topology with edges of about `size` m.
 
-    project(vertices) -> vertices moves them to the true surface after each round; without it relaxing along the surface
-    decides their positions.
+    project(vertices) -> vertices: moves the vertices to the exact surface after each round; None: they are only relaxed along the
+    surface.
     """
     x, t = np.array(vertices, float), np.array(triangles, np.int64)
     edge = float(np.median(np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2)))
-    while edge < 0.5 * SHORT * size:  # a fine surface is coarsened in steps, shortest edges first
+    while edge < 0.5 * SHORT * size:  # a fine surface is coarsened in steps, the shortest edges first
         edge *= 1.6
         x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size)
         x, t = _flip_all(x, t)
@@ -46,9 +46,9 @@ def even(
 
 
 def relaxed(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Vertices (k,3) moved half-way to the mean of their neighbours, along the surface only."""
+    """Vertices (k,3), each moved along the surface by half the distance to the mean of its neighbours."""
     total, count = np.zeros_like(x), np.bincount(t.ravel(), minlength=len(x))
-    for a, b in ((0, 1), (1, 2), (2, 0)):  # each edge of a closed surface appears once in either direction
+    for a, b in ((0, 1), (1, 2), (2, 0)):  # each edge of a closed surface occurs once in each direction
         for i in range(3):
             total[:, i] += np.bincount(t[:, a], x[t[:, b], i], len(x))
     step = total / count[:, None] - x
@@ -81,10 +81,11 @@ def _around(t: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 def _shortest_first(length: np.ndarray, size: float) -> np.ndarray:
-    """Order of edges (e,) by their length, m, where lengths that differ by less than TIE of `size` count as equal.
+    """Order of edges (e,) by length, m. Lengths that differ by less than TIE of `size` count as equal, and equal edges keep their
+    order.
 
-    Equal ones keep their order. Halves of an edge and edges of a symmetric splat are equal to rounding: without the tie, and
-    with numpy's default sort, whose order of ties depends on the processor's vector unit, the mesh would depend on both.
+    Halves of an edge, and edges of a symmetric splat, differ by rounding only. Without this tolerance, or with numpy's default sort,
+    whose order of equal values depends on the processor, the mesh would depend on rounding and processor.
     """
     return np.argsort(np.round(length / (TIE * size)), kind="stable")
 
@@ -104,7 +105,7 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
 
 @njit(cache=True, nogil=True)
 def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
-    """Whether triangle f turns too far or vanishes when its corner `old` moves to p."""
+    """Whether triangle f rotates too far or degenerates if its corner `old` moves to p."""
     c = np.empty((3, 3))
     d = np.empty((3, 3))
     for k in range(3):
@@ -121,10 +122,8 @@ def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
 
 @njit(cache=True, nogil=True)
 def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest: float) -> int:
-    """Collapse edges, in their order, to their middles.
-
-    longest: edge that a collapse may leave. x and t change in place, gone triangles are -1. Returns how many.
-    """
+    """Collapse edges to their midpoints, in their order. longest: limit of the edges after a collapse. x and t change in place; removed
+    triangles are -1. Returns the number of collapses."""
     n = len(x)
     locked = np.zeros(n, np.bool_)
     mark = np.full(n, -1)
@@ -196,7 +195,7 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray
 
 @njit(cache=True, nogil=True)
 def _split(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> tuple[Floats, Ints]:
-    """Put a vertex in the middle of edges that share no triangle; returns the new x and t."""
+    """Insert a vertex at the midpoint of each of the edges that have no common triangle. Returns the new x and t."""
     touched = np.zeros(len(t), np.bool_)
     points = np.empty((len(edges), 3))
     faces = np.empty((2 * len(edges), 3), np.int64)
@@ -234,7 +233,8 @@ def _flip_all(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True, nogil=True)
 def _flip(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> int:
-    """Turn edges where that brings the four vertices nearer to six neighbours each; t changes in place. Returns how many."""
+    """Flip edges if the numbers of neighbours of the four vertices are then closer to six. t changes in place. Returns the number of
+    flips."""
     touched = np.zeros(len(t), np.bool_)
     valence = start[1:] - start[:-1]
     done = 0

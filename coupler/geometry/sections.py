@@ -1,18 +1,18 @@
-"""Sections of tetrahedra and triangles with a plane of constant y. Lengths in whatever unit the points have."""
+"""Sections of tetrahedra and triangles with a plane of constant y. Lengths are in the unit of the points."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def section_of_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Section of tetrahedra with a plane of constant y.
+    """Section of tetrahedra with a plane of constant y: polygons (q,4,2) and their tetrahedra (q,).
 
-    points: (n, 3). tets: (m, 4). Returns the corners of the polygons, in order round each, as the two points
-    whose edge they lie on, (q, 4, 2), a triangle with its last one twice, and each polygon's tet, (q,).
+    points (n,3), tets (m,4). A corner of a polygon is on an edge, given by its two points. Corners are in order round the polygon; a
+    triangle has its last corner twice.
     """
     side = points[tets, 1] >= y
     above = side.sum(axis=1)
-    # With the points above the plane first, each number of them has one recipe.
+    # with the points above the plane first, the edges depend only on the number of these points
     order = np.take_along_axis(tets, np.argsort(~side, axis=1, kind="stable"), axis=1)
     recipes = {
         1: [(0, 1), (0, 2), (0, 3), (0, 3)],
@@ -25,16 +25,16 @@ def section_of_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[n
 
 
 def section_of_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.int64]:
-    """Section of triangles with a plane of constant y.
+    """Section of triangles with a plane of constant y: segments (q,2,2), from start to end.
 
-    points: (n, 3). triangles: (m, 3). Returns segments as start and end, each given by the two points whose
-    edge it lies on, smaller index first, (q, 2, 2). Triangles of one orientation give segments of one orientation.
+    points (n,3), triangles (m,3). An end of a segment is on an edge, given by its two points, the smaller index first. Triangles of one
+    orientation give segments of one orientation.
     """
     side = points[triangles, 1] >= y
     above = side.sum(axis=1)
     crossed = (above == 1) | (above == 2)
     triangles, side, above = triangles[crossed], side[crossed], above[crossed]
-    # Turn each triangle so that the corner that is alone on its side comes first.
+    # the corner that is alone on its side of the plane comes first
     alone = np.argmax(side == (above == 1)[:, None], axis=1)
     turned = np.take_along_axis(triangles, (alone[:, None] + np.arange(3)) % 3, axis=1)
     segments = np.stack([turned[:, [0, 1]], turned[:, [0, 2]]], axis=1)
@@ -43,9 +43,9 @@ def section_of_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArr
 
 
 def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray]:
-    """Closed lines in which a closed surface crosses a plane of constant y, as x and z, (k, 2) each.
+    """Closed lines of the section of a closed surface with a plane of constant y: x and z (k,2) of each.
 
-    points: (n, 3). triangles: (m, 3), all of one orientation; a hole then turns against its outline.
+    points (n,3), triangles (m,3), all of one orientation: a hole has the orientation opposite to its outline.
     """
     segments = section_of_triangles(points, triangles, y).tolist()
     following = {tuple(start): tuple(end) for start, end in segments}
@@ -62,9 +62,9 @@ def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray
 
 
 def crossing(points: NDArray, edges: NDArray, y: float) -> tuple[NDArray, NDArray]:
-    """Intersections of edges (..., 2) between points on different sides with the plane.
+    """Intersections of edges (...,2), between points on different sides of a plane of constant y, with the plane.
 
-    Returns x and z, (..., 2), and the share of the edge up to there, (...).
+    Returns x and z (...,2), and the position along the edge, 0 to 1, (...).
     """
     a, b = points[edges[..., 0]], points[edges[..., 1]]
     share = (y - a[..., 1]) / (b[..., 1] - a[..., 1])

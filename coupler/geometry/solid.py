@@ -1,4 +1,4 @@
-"""Surfaces that bound a solid: their checks before they are meshed, and the cleaning of surfaces that users give (open3d)."""
+"""Surfaces that bound a solid: checks before meshing, and cleaning of surfaces from the user's files (open3d)."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -14,31 +14,33 @@ from .triangles import enclosed_volume, open_or_double
 if TYPE_CHECKING:
     from open3d.pybind.geometry import TriangleMesh
 
-MOST_TRIANGLES = 4000  # of a cleaned solid: finer ones are decimated
-SAME_PLACE = 1e-6  # of the extent: corners so close are one
-FRAGMENT = 0.01  # of the surface: smaller parts beside the body are left out
+MOST_TRIANGLES = 4000  # of a cleaned solid; a finer surface is decimated
+SAME_PLACE = 1e-6  # of the extent: corners that are closer are merged
+FRAGMENT = 0.01  # of the area of the surface: smaller separate parts are removed
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A body by its closed surface: points (n,3), triangles (m,3) outwards; centre of volume at the origin, same volume as a sphere
-    of diameter 1."""
+    """A body, given by its closed surface: points (n,3), triangles (m,3) outwards. Its centre of volume is the origin, its volume that
+    of a sphere of diameter 1."""
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int64]
 
 
 def solid_of(points: NDArray, triangles: NDArray) -> Solid:
-    """The solid that a surface of points (n,3), in any unit, and triangles (m,3) bounds, cleaned.
+    """The solid inside a surface of points (n,3), in any unit, and triangles (m,3).
 
-    Corners at one point are joined, double and empty triangles and fragments left out, all turned outwards; a fine surface is
-    decimated to MOST_TRIANGLES. Raises SplatError where no solid comes of it, or more than one.
+    Coincident corners are merged; double and empty triangles and fragments are removed; triangles are oriented outwards; a fine surface
+    is decimated to MOST_TRIANGLES. Raises SplatError if the surface bounds no solid, or more than one.
     """
     mesh = _mesh(points, triangles)
     mesh.merge_close_vertices(100.0 * SAME_PLACE)
     mesh.remove_degenerate_triangles()
     corners = np.asarray(mesh.triangles)
-    _, once = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)  # doubles may have the other orientation
+    _, once = np.unique(
+        np.sort(corners, axis=1), axis=0, return_index=True
+    )  # a double may have the opposite orientation
     mesh.remove_triangles_by_index(np.setdiff1d(np.arange(len(corners)), once).tolist())
     label, _, area = (np.asarray(values) for values in mesh.cluster_connected_triangles())
     if not len(area) or not area.sum() > 0.0:
@@ -80,7 +82,7 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
 
 
 def _mesh(points: NDArray, triangles: NDArray) -> "TriangleMesh":
-    """A surface as open3d has it, 100 units large: open3d has absolute tolerances for numbers near one."""
+    """A surface as a mesh of open3d, scaled to a size of 100: open3d has absolute tolerances for numbers near one."""
     o3d = open3d()
     unit = float(np.ptp(points, axis=0).max()) / 100.0 or 1.0
     return o3d.geometry.TriangleMesh(
@@ -89,11 +91,13 @@ def _mesh(points: NDArray, triangles: NDArray) -> "TriangleMesh":
 
 
 def check_solid(points: NDArray, triangles: NDArray) -> None:
-    """Raise SplatError where points (n,3) and triangles (m,3) do not bound a solid: open, not manifold, or through itself."""
+    """Raise SplatError if points (n,3) and triangles (m,3) do not bound a solid: the surface is open, not manifold, or intersects
+    itself.
+    """
     problem = open_or_double(np.asarray(triangles, np.int64))
     mesh = _mesh(points, triangles)
     if not problem and not mesh.is_vertex_manifold():
-        problem = f"{len(mesh.get_non_manifold_vertices())} corners are where it touches itself"
+        problem = f"it touches itself at {len(mesh.get_non_manifold_vertices())} corners"
     if not problem and any(
         _intersect(points[triangles[pair]]) for pair in np.asarray(mesh.get_self_intersecting_triangles())
     ):
@@ -103,10 +107,10 @@ def check_solid(points: NDArray, triangles: NDArray) -> None:
 
 
 def _intersect(pair: NDArray) -> bool:
-    """Whether two triangles (2,3,3) have a point in common, in exact arithmetic: none of the directions that can separate two triangles
-    does (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244).
+    """Whether two triangles (2,3,3) have a common point, in exact arithmetic by the separating axis theorem (Gottschalk, Lin & Manocha
+    1996, doi:10.1145/237170.237244).
 
-    open3d tests pairs with a tolerance: it takes pairs in one plane that lie beside each other for ones that touch.
+    open3d has a tolerance: it reports also pairs of triangles in one plane that are next to each other.
     """
     a, b = np.vectorize(Fraction, otypes=[object])(pair)
     ea, eb = np.roll(a, -1, axis=0) - a, np.roll(b, -1, axis=0) - b

@@ -1,11 +1,13 @@
-"""Tetrahedra (m,4) on points (n,3): volumes, faces and the boundary. Lengths in whatever unit the points have."""
+"""Tetrahedra (m,4) on points (n,3): volumes, faces and the boundary. Lengths are in the unit of the points."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
-TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
-#: Faces of a tetrahedron of positive volume, normals outwards; face i lies opposite corner i.
+TETS_PER_H3 = (
+    4.2  # tetrahedra in a volume h^3, counted in meshes of gmsh: half the number of regular tetrahedra of edge h
+)
+#: Faces of a tetrahedron of positive volume, normals outwards; face i is opposite to corner i.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
@@ -21,25 +23,25 @@ def gradients(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
 
 
 def oriented(points: NDArray, tets: NDArray) -> NDArray:
-    """The tetrahedra with positive volumes: where a volume is negative, the last two corners are swapped."""
+    """The tetrahedra with positive volumes: the last two corners are swapped if the volume is negative."""
     return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)
 
 
 def least_at_corners(values: NDArray, tets: NDArray) -> NDArray:
-    """The least (m,) of the values (n,) at the corners of each tetrahedron: a third of the time of `numpy.min` over the corners."""
+    """The least (m,) of the values (n,) at the corners of each tetrahedron, in a third of the time of `numpy.min`."""
     a, b, c, d = values[tets].T
     return np.minimum(np.minimum(a, b), np.minimum(c, d))
 
 
 def lumped(tets: NDArray, weight: NDArray, n: int) -> NDArray:
-    """A quarter of the weight (m,) of each of the tetrahedra (m,4) given to each of its corners, of n points: (n,)."""
+    """Sum (n,) over tetrahedra at each of n points: each tetrahedron adds a quarter of its weight (m,) to each corner."""
     return np.bincount(tets.ravel(), np.repeat(0.25 * weight, 4), n)
 
 
 def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
-    """Faces (k,3) that belong to one tetrahedron only, and the tetrahedron of each (k,).
+    """Faces (k,3) of only one tetrahedron, and the tetrahedron (k,) of each.
 
-    Normals point outwards where volumes are positive. Faces come in the order of `FACES`, then of the tetrahedra.
+    Normals are outwards if volumes are positive. Faces are in the order of `FACES`, then of the tetrahedra.
     """
     faces = np.concatenate([tets[:, corners] for corners in FACES])
     if len(faces) == 0:
@@ -47,7 +49,7 @@ def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
     a, b, c = faces.T.astype(np.int64)
     low, high, n = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c), int(tets.max()) + 1
     first = low * n + (a + b + c - low - high)
-    # one key is sorted in a third of the time; that of more points does not fit into 63 bits
+    # sorting by one key takes a third of the time; with more points the key does not fit into 63 bits
     order = np.argsort(first * n + high) if n < 2**21 else np.lexsort((high, first))
     twin = (np.diff(first[order]) == 0) & (np.diff(high[order]) == 0)
     single = np.sort(order[~(np.append(twin, False) | np.insert(twin, 0, False))])

@@ -1,4 +1,4 @@
-"""Triangulated surfaces: triangles (m,3) on points (n,3). Lengths in whatever unit the points have."""
+"""Triangulated surfaces: triangles (m,3) on points (n,3). Lengths are in the unit of the points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,14 @@ def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
 
 
 def _normals(points: NDArray, triangles: NDArray) -> list[NDArray[np.float64]]:
-    """The components of (b - a) x (c - a) of each triangle a, b, c, each (m,). By components: a tenth of the time of `numpy.cross`."""
-    corners = points[triangles]  # of these triangles alone: they can be a few of many
+    """The components, each (m,), of (b - a) x (c - a) of the triangles a, b, c, in a tenth of the time of `numpy.cross`."""
+    corners = points[triangles]  # the triangles may use few of the points
     (ux, uy, uz), (vx, vy, vz) = (np.ascontiguousarray((corners[:, k] - corners[:, 0]).T) for k in (1, 2))
     return [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
 
 
 def edges(triangles: NDArray) -> NDArray:
-    """The directed edges (3m,2): first those from corner 0 to 1 of all triangles, then from 1 to 2, then from 2 to 0."""
+    """The directed edges (3m,2): first from corner 0 to 1 of all triangles, then from 1 to 2, then from 2 to 0."""
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
@@ -49,13 +49,14 @@ def surface_area(points: NDArray, triangles: NDArray) -> float:
 
 
 def vertex_areas(points: NDArray, triangles: NDArray) -> NDArray:
-    """The part of the area (n,) that belongs to each point: a third of each triangle around it."""
+    """Area (n,) of each point: a third of the area of all triangles around it."""
     third = areas(points, triangles) / 3.0
     return np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
 
 
 def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
-    """The neighbours of some points (k,) of a triangulation: (start (k+1,), neighbours), of point i from start[i] to start[i+1]."""
+    """The neighbours of points (k,) of a triangulation: start (k+1,) and neighbours. The neighbours of point i are from start[i] to
+    start[i+1]."""
     a, b = np.concatenate([triangles, triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]])[:, :2].T
     pairs = np.unique(np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)]), axis=0)
     order = np.argsort(points, kind="stable")
@@ -67,20 +68,20 @@ def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def vertex_normals(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
-    """Unit normals (n,3) at the points, triangles weighted by their area."""
+    """Unit normals (n,3) at the points: averages over triangles, weighted by area."""
     face = area_vectors(points, triangles)
     total = np.stack([np.bincount(triangles.ravel(), np.repeat(face[:, i], 3), len(points)) for i in range(3)], axis=1)
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
 
 def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
-    """Volume inside a closed surface with outward normals; negative where they point inwards (divergence theorem)."""
+    """Volume inside a closed surface with outward normals, by the divergence theorem; negative for inward normals."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def open_or_double(triangles: np.ndarray) -> str:
-    """Why triangles (m,3) are not a closed oriented surface; empty if they are one."""
+    """Reason why triangles (m,3) are not a closed oriented surface; empty if they are."""
     (first, last), many = edges(triangles).T, int(triangles.max()) + 1
     key, back = np.sort(first * many + last), np.sort(last * many + first)
     if (key[1:] == key[:-1]).any():
@@ -91,9 +92,10 @@ def open_or_double(triangles: np.ndarray) -> str:
 def correct_volume(
     points: NDArray, triangles: NDArray, target: float, max_offset: float, fixed: NDArray | None = None
 ) -> tuple[NDArray, float]:
-    """Points (n,3) of closed surfaces moved along their normals until these enclose `target` together, and the offset.
+    """Points (n,3) of closed surfaces after a displacement along the normals, and this offset. The surfaces then enclose the volume
+    `target`, to VOLUME_TOLERANCE.
 
-    max_offset: the largest offset; fixed (n,) bool: points that stay, none by default. Stops at 1e-9 of the volume.
+    max_offset: limit of the offset; fixed (n,) bool: points that do not move, none by default.
     """
     x, moved = points.copy(), 0.0
     free = slice(None) if fixed is None else np.flatnonzero(~fixed)

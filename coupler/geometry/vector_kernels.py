@@ -1,4 +1,4 @@
-"""Vectors of three numbers in kernels (numba): what is written once there, inlined where it is used."""
+"""Vectors of three numbers in kernels (numba), inlined by the compiler."""
 
 from ..compiling import njit
 from ..core.arrays import Floats, Vector
@@ -21,7 +21,7 @@ def area_vector(A: Floats, B: Floats, C: Floats) -> Vector:
 
 @njit(cache=True, nogil=True, inline="always")
 def from_foot(p: Floats, A: Floats, B: Floats, C: Floats, a: float, b: float, c: float) -> Vector:
-    """p - (a A + b B + c C): from a point of a triangle, given by its weights, to p."""
+    """p - (a A + b B + c C): vector to p from the point of a triangle with the barycentric coordinates a, b, c."""
     return (
         p[0] - (a * A[0] + b * B[0] + c * C[0]),
         p[1] - (a * A[1] + b * B[1] + c * C[1]),

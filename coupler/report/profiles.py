@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..files.fields import Fields
 from ..files.result import Result
-from ..geometry.locate import in_tets
+from ..geometry.points import in_tets
 from .fields import at_nodes, from_points
 from .picture import MICRO, Stage
 

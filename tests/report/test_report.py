@@ -12,7 +12,7 @@ from made_up_run import ball, block, flattened, summary_of, write
 from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
-from coupler.geometry.locate import in_tets
+from coupler.geometry.points import in_tets
 from coupler.geometry.sections import crossing, section_loops, section_of_tets
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
