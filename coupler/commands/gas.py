@@ -3,6 +3,7 @@
 import argparse
 import textwrap
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -77,7 +78,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     from ..files.outputs import claim_file
     from ..physics import materials
     from ..plan import gas as scene_gas
-    from ..spray.flight import DRAG_LAWS, fly_together
+    from ..scene.tables import DIAMETER
     from ..spray.nozzles import unknown
 
     nozzles = known_nozzles(arguments)
@@ -101,14 +102,13 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     diameters = []
     for text in arguments.diameter:
         try:
-            diameters.append(scene_gas.diameter(text))
+            diameters.append(DIAMETER.read(text))
         except ValueError as error:
             problems.append(f'{sizes} "{text[:40]}" {error}')
     if problems or conditions is None:
         raise SceneError(problems, command)
-    flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), DRAG_LAWS[conditions.drag]
-    T = conditions.powder_temperature
-    return Setup(flow, metals, diameters, lambda metal, D: fly_together(flow, metal, D, T, law))
+    flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
+    return Setup(flow, metals, diameters, partial(scene_gas.flights, conditions, flow))
 
 
 def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":

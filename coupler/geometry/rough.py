@@ -1,4 +1,4 @@
-"""Rough ground: a random field of heights of given mean deviation and correlation length, and a mesh whose top follows it."""
+"""Rough surface: a random field of heights with given mean deviation and correlation length, and a mesh with this top face."""
 
 import math
 import random
@@ -8,15 +8,16 @@ import numpy as np
 
 from ..core.arrays import Floats
 
-WAVES = 256  # of the field: its heights are normal to 1 % of their standard deviation
-SAMPLES = 64  # across the disc on which mean and Sa are set
+WAVES = 256  # in the field: the heights are normal to 1 % of their standard deviation
+SAMPLES = 64  # across the disc, for mean and Sa
 
 
 def heights(at: Floats, diameter: float, Sa: float, length: float, seed: int) -> Floats:
-    """Heights (k,) m at places (k,2) m of a disc about the axis: mean 0, mean deviation Sa m over the disc of `diameter` m.
+    """Heights (k,) m at points (k,2) m of a disc about the axis. Over the disc of `diameter` m the mean is 0 and the mean deviation Sa
+    m.
 
-    A normal field of WAVES plane waves whose autocorrelation falls as exp(-(distance / length)^2) (Garcia & Stoll 1984,
-    Phys. Rev. Lett. 52, 1798). The seed gives the same field on every mesh and machine.
+    A normal field of WAVES plane waves with the autocorrelation exp(-(distance / length)^2) (Garcia & Stoll 1984, Phys. Rev. Lett. 52,
+    1798). The field of a seed is the same on all meshes and machines.
     """
     dice, normal = random.Random(seed), NormalDist(0.0, math.sqrt(2.0) / length)
     wave = np.array([[normal.inv_cdf(dice.random() or 0.5) for _ in range(2)] for _ in range(WAVES)])
@@ -32,8 +33,8 @@ def heights(at: Floats, diameter: float, Sa: float, length: float, seed: int) ->
 
 
 def roughened(points: Floats, height: float, diameter: float, Sa: float, length: float, seed: int) -> Floats:
-    """Points (n,3) m of a cylinder between z = -height and 0 with `heights` on its top; what lies below moves with it, ever less down
-    to the bottom, which stays."""
+    """Points (n,3) m of a cylinder between z = -height and 0, with `heights` on its top face. The displacement decreases linearly to
+    zero at the bottom."""
     moved = points.copy()
     moved[:, 2] += heights(points[:, :2], diameter, Sa, length, seed) * (1.0 + points[:, 2] / height)
     return moved

@@ -1,4 +1,5 @@
-"""Adhesion: critical velocities, and the adhesion of a scene: where a splat is bonded and how strongly. SI units."""
+"""Adhesion: critical velocities, and the law of adhesion of a scene, which gives the bonded area of a splat and its strength. SI
+units."""
 
 import math
 from collections.abc import Sequence
@@ -15,25 +16,25 @@ from .materials import Material
 Kind = Literal["none", "tied", "cohesive"]
 Criterion = Literal["all", "plastic_strain", "pressure", "velocity", "exposure"]
 
-ROOM = 293.0  # K, at which the tensile strength of Schmidt's formula is taken
-EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that brings metal through a crack, over its flow stress
-# net stress of a ligament between deep cracks, over its flow stress (Prandtl)
+ROOM = 293.0  # K, temperature of the tensile strength in Schmidt's formula
+EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that extrudes metal through a crack, over the flow stress
+# net stress of a ligament between deep cracks, over the flow stress (Prandtl)
 CONSTRAINT = (2.0 + math.pi) / math.sqrt(3.0)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
-REFERENCE, EXPONENT = 25e-6, -0.18  # diameter, m, of the formula's particles; power of the diameter
-# of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
+REFERENCE, EXPONENT = 25e-6, -0.18  # diameter of the particles of the formula, m; exponent of the diameter
+# stiffness of the springs of a bonded particle over the bulk modulus of the softer metal per spacing, as in the contact
 PARTICLE_BOND_STIFFNESS = 1.0
 
 
 def critical_velocity(material: Material, temperature: float, diameter: float = REFERENCE) -> float:
-    """Critical velocity, m/s, of particles of `diameter` m that hit at `temperature` K, on their own kind.
+    """Critical velocity, m/s, of particles of `diameter` m and `temperature` K on a target of the same metal.
 
         v = sqrt(F1 4 sigma_TS (1 - (T - T_R) / (T_m - T_R)) / rho + F2 cp (T_m - T)) (D / 25 um)^-0.18,   F1 = 1.2, F2 = 0.3
 
-    Schmidt, Gaertner, Assadi & Kreye (2006), Acta Mater. 54, 729; F1 and F2 are theirs, fitted to impact tests and spray
-    experiments. The power of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161, whose factor
-    k1 = 0.64 (D / 10 um)^-0.18 is that of Schmidt's formula at 25 um. sigma_TS is that of the bulk metal. Raises ColdsprayError where
-    the material has none.
+    Schmidt, Gaertner, Assadi & Kreye (2006), Acta Mater. 54, 729; they fitted F1 and F2 to impact tests and spray experiments. Exponent
+    of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161; their factor
+    k1 = 0.64 (D / 10 um)^-0.18 agrees with Schmidt's formula at 25 um. sigma_TS: of the bulk metal. Raises ColdsprayError if the
+    material has no sigma_TS.
     """
     if material.sigma_TS is None:
         raise ColdsprayError(
@@ -49,11 +50,11 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
 
 @dataclass(frozen=True)
 class PairFormula:
-    """Schmidt's formula for a particle on a metal. It is fitted to particles on their own kind, so that it is evaluated for both
-    metals, at the particle's temperature and diameter, and decides where both agree.
+    """Schmidt's formula for a particle on a target. The formula is fitted to particles on a target of the same metal. Therefore it is
+    evaluated for both metals, at the temperature and diameter of the particle, and is decisive if both results agree.
 
-    metal, base: names of the particle's metal and of the metal that it hits, "" where none is named; critical, base_critical m/s: their
-    critical velocities, None where a metal has no tensile strength.
+    metal, base: names of the metals of particle and target; base "": not given. critical, base_critical m/s: their critical velocities;
+    None: the metal has no tensile strength.
     """
 
     metal: str
@@ -63,23 +64,24 @@ class PairFormula:
 
     @property
     def known(self) -> dict[str, float]:
-        """Critical velocities, m/s, of the metals that have one, the particle's first."""
+        """Known critical velocities, m/s, by metal, the particle's metal first."""
         return {n: v for n, v in ((self.metal, self.critical), (self.base, self.base_critical)) if v is not None}
 
     def verdict(self, velocity: float, threshold: float = 1.0) -> str:
-        """Sticks, rebounds or undecided at a velocity (m/s) normal to the surface. threshold: factor on the critical velocities."""
+        """STICKS, REBOUNDS or UNDECIDED at a velocity (m/s) normal to the surface. threshold: factor on the critical velocities."""
         if self.critical is None:
             return UNDECIDED
         reached = {velocity >= threshold * critical for critical in self.known.values()}
         return UNDECIDED if len(reached) > 1 else STICKS if True in reached else REBOUNDS
 
     def margin(self, velocity: float, threshold: float = 1.0) -> float | None:
-        """Velocity above the highest critical one where it sticks, negative below the lowest where it rebounds; None: undecided."""
+        """Distance, m/s, to the critical velocities: positive above the highest one if the particle sticks, negative below the lowest
+        one if it rebounds, None if undecided."""
         verdict, limits = self.verdict(velocity, threshold), [threshold * v for v in self.known.values()]
         return None if verdict == UNDECIDED else velocity - (max(limits) if verdict == STICKS else min(limits))
 
     def words(self, velocity: float | None = None, threshold: float = 1.0) -> str:
-        """The formula in a sentence, without its verdict: what it considers, the velocity (m/s) and the critical ones."""
+        """The formula as a sentence without its verdict: metals considered, velocity (m/s) and critical velocities."""
         if self.critical is None:
             return f"no formula: {self.metal} has no tensile strength (sigma_TS)"
         head = "Schmidt's formula"
@@ -94,7 +96,7 @@ class PairFormula:
 
 
 def pair_formula(particle: Material, base: Material | None, temperature: float, diameter: float) -> PairFormula:
-    """The formula for a particle of `temperature` K and `diameter` m on a metal, or on one that is not named."""
+    """The formula for a particle of `temperature` K and `diameter` m. base: metal of the target, None if it is not given."""
     first, second = (
         critical_velocity(metal, temperature, diameter) if metal is not None and metal.sigma_TS is not None else None
         for metal in (particle, base)
@@ -103,23 +105,23 @@ def pair_formula(particle: Material, base: Material | None, temperature: float, 
 
 
 def clean_share(exposure: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
-    """Share of a surface that is clean metal between the fragments of its film: c = (Y - Y') / (1 - Y'), Y = 1 - A_0 / A.
+    """Area fraction of clean metal between the fragments of an oxide film: c = (Y - Y') / (1 - Y'), Y = 1 - A_0 / A.
 
-    The brittle film stretches with the metal to the exposure Y' (threshold), cracks, and stretches no further. exposure Y (n,).
+    The brittle film stretches with the metal up to the exposure Y' (threshold) and then cracks. exposure: Y (n,).
     """
     return np.clip((exposure - threshold) / (1.0 - threshold), 0.0, 1.0)
 
 
 def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray) -> np.ndarray:
-    """Share (n,) of an interface at which clean metal comes to clean metal: the film theory of cold pressure welding.
+    """Area fraction (n,) of an interface at which metal is extruded through the cracked film: film theory of cold pressure welding.
 
         f = c min((p - p_E) / sigma_0, 1),   p_E = 2 sigma_0 / sqrt(3)
 
-    Metal comes through the cracks under a pressure above p_E and meets what lies opposite, of which a share is clean metal too
-    (`ligament_bonds`). clean c (n,): `clean_share`, of the two surfaces the smaller; pressure p, strength sigma_0 (n,) Pa: flow
-    stress of the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: a strength that grows with surface
-    exposure and normal pressure; the linear form is quoted at second hand. p_E is the least value that plasticity allows, plane
-    strain yield below a crack free of traction; Bay's is from slip lines.
+    Metal flows through the cracks at a pressure above p_E. Only a fraction of the opposite surface is clean metal (`ligament_bonds`).
+    clean: c (n,), `clean_share`, the smaller value of the two surfaces; pressure: p (n,) Pa; strength: sigma_0 (n,) Pa, flow stress of
+    the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: the strength grows with surface exposure and
+    normal pressure; the linear form is quoted second-hand. p_E is the lower bound of plasticity, plane strain yield below a crack
+    without traction; Bay's value is from slip lines.
     """
     return clean * np.clip(pressure / np.maximum(strength, 1.0) - EXTRUSION, 0.0, 1.0)  # molten metal has no strength
 
@@ -129,16 +131,16 @@ def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarr
 
         w = L c / (1 - c),   L = 3/2 h sigma_f / k,   k = sigma_0 / sqrt(3)
 
-    L: mean length of the fragments, where the shear flow stress k of the metal loads a film of thickness h and strength sigma_f (Kelly
-    & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). clean c (n,); film_force h sigma_f
-    (n,) N/m; strength sigma_0 (n,) Pa.
+    L: mean length of the fragments of a film of thickness h and strength sigma_f, which the shear flow stress k of the metal loads
+    (Kelly & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). clean: c (n,); film_force:
+    h sigma_f (n,) N/m; strength: sigma_0 (n,) Pa.
     """
     return 1.5 * film_force * math.sqrt(3.0) / strength * clean / (1.0 - clean)
 
 
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
-    """The film between two metals: exposure at which both surfaces have cracked, and strength times thickness (N/m) of the film that
-    breaks into the smaller fragments. Raises ColdsprayError where a metal has no data of its film."""
+    """The films between two metals: exposure at which both films have cracked, and strength times thickness (N/m) of the film with the
+    smaller fragments. Raises ColdsprayError if a metal has no data of its film."""
     for metal in (first, second):
         if None in (metal.oxide_thickness, metal.oxide_strength, metal.oxide_threshold):
             raise ColdsprayError(
@@ -152,18 +154,18 @@ def oxide_film(first: Material, second: Material) -> tuple[float, float]:
 def ligament_bonds(
     sound: np.ndarray, width: np.ndarray, opposite: np.ndarray, strength: np.ndarray, stiffness: float
 ) -> dict[str, np.ndarray]:
-    """Bond laws at n places where metal has bonded through a cracked film: ligaments between its fragments, torn plastically.
+    """Bond laws at n points where metals are bonded through cracked films: ligaments between the fragments, which yield and tear.
 
         N = (2 + pi) k f c',   S = k f c',   G = N w c' / 2,   k = sigma_0 / sqrt(3)
 
-    The films of both surfaces crack in patterns that know nothing of each other: in the mean of all positions the share c' of a strip
-    of clean metal meets clean metal, and what is welded is narrower by c'. Slip under the pressure of the contact leaves the mean as it
-    is. N: limit load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has
-    opened or slid by its width w (McClintock (1971), in Fracture III), so that strength falls linearly. With the half width a = w / 2
-    this is G = 2.97 f c' sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
+    The crack patterns of the two films are independent. On average, the fraction c' of a strip of clean metal is opposite to clean
+    metal, and the welded width is w c'. Slip under contact pressure does not change the average. N: limit load of metal between deep
+    cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament fails at an opening or slip equal to its width (McClintock
+    (1971), in Fracture III); the strength decreases linearly. With the half width a = w / 2 this is G = 2.97 f c' sigma_0 a; Ashby,
+    Blunt & Bannister (1989), Acta Metall. 37, 1847, measured factors of 1.6 to 6.
 
-    sound f (n,): `sound_fraction`; width w (n,) m: `ligament_width`; opposite c' (n,): share of the other surface that is clean;
-    strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, whose traction is at most that at an opening of w c'. Returns the
+    sound: f (n,), `sound_fraction`; width: w (n,) m, `ligament_width`; opposite: c' (n,), clean fraction of the other surface;
+    strength: sigma_0 (n,) Pa; stiffness Pa/m: of the springs, whose traction is limited to the value at an opening of w c'. Returns the
     arguments of `contact.bond.Bond`.
     """
     welded, width = sound * opposite, width * opposite
@@ -176,15 +178,9 @@ def ligament_bonds(
     }  # fmt: skip
 
 
-def stored_at_strength(strength: float, stiffness: float) -> float:
-    """Energy (J/m2) that a cohesive spring stores at its strength (Pa), stiffness in Pa/m: a bond's fracture energy cannot be less,
-    unless it is 0 (brittle)."""
-    return strength**2 / (2.0 * stiffness)
-
-
 @dataclass(frozen=True)
 class PairBond:
-    """Strengths (Pa) and energies (J/m2) of the bonds between two metals, in any order; None: the value of all metals."""
+    """Strengths (Pa) and energies (J/m2) of the bonds between two metals, named in any order. None: the value for all metals."""
 
     metals: tuple[str, str]
     strength: float | None = None
@@ -198,16 +194,17 @@ LAW = ("strength", "energy", "shear_strength", "shear_energy")
 
 @dataclass(frozen=True)
 class Adhesion:
-    """Adhesion of a splat to the bodies below it, decided when it joins the target.
+    """Law of adhesion of a splat to the bodies below it.
 
-    kind: "none" (contact and friction only), "tied" (bonded nodes never part) or "cohesive" (they part when strength and
-    fracture energy are spent). strength Pa, energy J/m2: in tension; the shear ones are equal to them unless given. energy 0
-    is brittle. criterion, which of the nodes in contact are bonded: "all" of them, those where the "plastic_strain" at
-    the interface or the "pressure" (Pa) of contact has come to the threshold, or all or none by the "velocity" of impact over
-    the critical one (threshold 1 unless given), or by "exposure" (cohesive only): the share of each place that has bonded by
-    `sound_fraction`, with the law of `ligament_bonds`, from the oxide films of the metals. Thresholds of strain and pressure
-    depend on the pair of metals and on the mesh, no published one is valid in general, and there is no default. pairs: laws of two
-    metals in place of the law of all. Raises SceneError with every problem.
+    kind: "none" (contact and friction only), "tied" (bonded nodes never separate) or "cohesive" (they separate when strength and
+    fracture energy are reached). strength Pa, energy J/m2: in tension; shear_strength, shear_energy: by default the values in tension.
+    Energy 0: a brittle bond. criterion: which nodes in contact are bonded.
+    - "all": all nodes;
+    - "plastic_strain", "pressure" (Pa): nodes where the value at the interface has reached the threshold. Thresholds depend on the
+      metals and on the mesh; no published value is generally valid, and there is no default;
+    - "velocity": all nodes or none, by the ratio of impact velocity to critical velocity (default threshold 1);
+    - "exposure" (cohesive only): each point by its `sound_fraction`, with the law of `ligament_bonds`, from the oxide films.
+    pairs: laws of two metals, which replace the law for all metals. Raises SceneError with all problems.
     """
 
     kind: Kind = "none"
@@ -263,7 +260,7 @@ class Adhesion:
             raise SceneError(problems, "adhesion")
 
     def between(self, first: str, second: str) -> "Adhesion":
-        """The adhesion of two metals: with the law of their pair, or the law of all metals."""
+        """The adhesion of two metals: the law of their pair if there is one, otherwise the law for all metals."""
         for pair in self.pairs:
             if set(pair.metals) == {first, second}:
                 own = {name: value for name in LAW if (value := vars(pair)[name]) is not None}
@@ -274,10 +271,10 @@ class Adhesion:
         self, nodes: int, plastic_strain: np.ndarray | None = None, pressure: np.ndarray | None = None,
         velocity_ratio: float | None = None,
     ) -> np.ndarray:  # fmt: skip
-        """Mask of the interface's nodes that are bonded, by the criterion.
+        """Mask (nodes,) of the bonded nodes of an interface, by the criterion.
 
-        plastic_strain, pressure (nodes,): at the interface, the larger of both sides or of the history of contact as the caller sees
-        fit; velocity_ratio: of the impact to the critical velocity. Raises ValueError where the value of the criterion is missing.
+        plastic_strain, pressure (nodes,): at the interface; the caller takes the larger value of both sides, or the maximum over time.
+        velocity_ratio: impact velocity over critical velocity. Raises ValueError if the value that the criterion needs is missing.
         """
         if self.kind == "none" or self.criterion == "all":
             return np.full(nodes, self.kind != "none")
@@ -288,7 +285,7 @@ class Adhesion:
 
     @property
     def limit(self) -> float:
-        """Threshold of the criterion: 1 of the velocity over the critical one unless given."""
+        """Threshold of the criterion; default 1, the default of the velocity ratio."""
         return 1.0 if self.threshold is None else self.threshold
 
     @property
@@ -299,7 +296,7 @@ class Adhesion:
 
     @property
     def words(self) -> str:
-        """Text of one line that describes the law."""
+        """The law as one line of text."""
         if self.kind == "none":
             return "none, contact and friction only"
         text: str = self.kind
@@ -323,11 +320,11 @@ class Adhesion:
         return f"{text}, {where[self.criterion]}{own}"
 
     def law(self) -> dict[str, float]:
-        """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""
+        """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; empty for tied nodes, the default of `Bond`."""
         return {name: float(value) for name in LAW if (value := vars(self)[name]) is not None}
 
     def law_on(self, metal: str, others: Sequence[str]) -> dict[str, np.ndarray]:
-        """As `law`, as arrays (n,), for n bonds of a metal to each of `others`; the same in shear as in tension unless given."""
+        """Arrays (n,) of the values of `law` for n bonds of a metal to the metals `others`. Default in shear: the value in tension."""
         laws = {other: self.between(metal, other).law() for other in set(others)}
         arrays = {}
         for name in LAW:

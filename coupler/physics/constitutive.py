@@ -1,19 +1,18 @@
 """One constitutive law for both domains: strength with plastic heat, Mie-Grueneisen pressure.
 
-Everything here works on one material point and is compiled by numba; the SPH particle and the FE target call the
-same functions. The yield stress is explicit by one step: a step returns the trial deviator to the sigma_y that the
-step before left behind, and `harden` then moves plastic strain, rate and temperature on and evaluates the next
-sigma_y. That is what MACHDYN allows (its stress update takes a given yield stress), and at explicit time steps
-(plastic strain per step about 1e-4) the lag is far below the discretisation error. The strength laws are those of `physics.strength`.
+The functions treat one material point and are compiled by numba; the SPH particle and the FE target call the same functions. The
+yield stress is explicit: a step uses the yield stress sigma_y of the previous step for the radial return. Then `harden` updates plastic
+strain, rate and temperature and evaluates the next sigma_y. MACHDYN needs this form, because its stress update uses a given yield
+stress. The plastic strain per explicit step is about 1e-4, so that the delay is far below the discretisation error. The strength laws
+are in `physics.strength`.
 
-An effect that is off is a zero among the law's numbers, and so is the switch of a strength law that no metal uses. In the records
-that `specialised` gives, such zeros are integers: the type tells the compiler that they are zero, and what `on` guards is not in the
-kernel it makes.
+If an effect is off, its number in the law's record is zero. The switch of a strength law that no metal uses is zero, too. In the
+records of `specialised` such zeros are integers: from the type the compiler knows that they are zero, and the kernel does not contain
+the code under `on`.
 """
 
 from collections.abc import Callable, Mapping
 from math import log, sqrt
-from typing import Protocol
 
 import numpy as np
 from numba import types
@@ -24,32 +23,26 @@ from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material
+from .strength import Numbers as Law
 from .strength import on as on
 
-
-class Law(Protocol):
-    """A record of LAW as the kernels read it: each number is a field. Numba refuses a name that is none."""
-
-    def __getattr__(self, name: str) -> float: ...
-
-
-#: One record per material: the numbers of the law in SI units. `softening`, `expansion` and
-#: `dissipation` (what the scheme dissipates becomes heat) are 1.0 or 0.0.
+#: One record per material: the numbers of the law in SI units. `softening`, `expansion` and `dissipation` (numerical dissipation
+#: becomes heat) are 1.0 or 0.0.
 LAW = np.dtype([(name, np.float64) for name in (
     "rho", "G", "K", "s", "Gamma0", "T_m", "softening", "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0",
     "k_slope", "rate_filter", "expansion", "dissipation", "forest", "forest_slope", "gradient_length", *strength.FIELDS, *strength.LAWS,
 )])  # fmt: skip
-#: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
+#: Numbers that are zero if an effect is off: those of the pressure, and those of plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = (
     "C", "C_high", *strength.LAWS, "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation", "gradient_length",
 )  # fmt: skip
 
-ROOM = 300.0  # K, at which the shear modulus is that of the record
+ROOM = 300.0  # K, temperature of the shear modulus in the record
 # -(T_m / G) dG/dT: .54 (Cu), .64 (Ni), .50 (Al), Frost & Ashby (1982), Deformation-Mechanism Maps, second-hand
 MODULUS_SLOPE = 0.5
-FIRST_Y = 0.02  # b sqrt(density) of a metal at some 500 MPa: where the search for that of a flow stress begins
-NEWTON_STEPS = 3  # from there 1e-9 of the stress or less between 50 MPa and 5 GPa
+FIRST_Y = 0.02  # b sqrt(density) of a metal at some 500 MPa: start value of Newton's method for a given flow stress
+NEWTON_STEPS = 3  # error at most 1e-9 of the stress between 50 MPa and 5 GPa
 
 #: Effects that change a LAW record.
 SWITCHES = (
@@ -59,13 +52,12 @@ SWITCHES = (
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
-    """Pack a material into a LAW record of shape (1,), with effects switched off where `on` says False.
+    """The LAW record (1,) of a material. on: effects by name, default on.
 
-    rate_filter: s, the time constant
-    over which the plastic strain rate is averaged before the strength law sees it (0: not averaged). A linear equation
-    of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
-    energy that makes pressure; what compression itself stores there stays. Two effects are on only where `on` names them: heat of what
-    the scheme dissipates ("dissipation_heat"), which is not the metal's, and hardening by gradients ("gradient_hardening").
+    rate_filter: time constant of the average of the plastic strain rate for the strength law, s; 0: no average. Without mie_gruneisen
+    the Hugoniot has s = 0 and Gamma0 = 0: p = K (1 - J). Without thermal expansion heat is not part of the energy in the equation of
+    state; the work of compression is. Two effects are off by default: heat of the numerical dissipation ("dissipation_heat"), which is
+    not a property of the metal, and hardening by gradients ("gradient_hardening").
     """
     effects = dict(on or {})
 
@@ -96,7 +88,7 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
 
 
 def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
-    """Which LAW records (k,) are of a material (k,), whatever effects are on."""
+    """Mask (k,) of the LAW records (k,) that belong to a material. Numbers that depend on effects are not compared."""
     on, off = law_record(material), law_record(material, dict.fromkeys(SWITCHES, False))
     others = "rate_filter", "dissipation", "gradient_length"
     names = [name for name in LAW.names or () if on[name] == off[name] and name not in others]
@@ -104,10 +96,9 @@ def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
 
 
 def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
-    """LAW records (k,) seen with those of the `numbers` that are zero in all of them as integers: kernels without their effects.
+    """A view of LAW records (k,) in which those of the `numbers` that are zero in all records are integers: kernels omit their effects.
 
-    A view: the numbers are those of `laws`, and those that are zero are to stay so. Each combination of zeros is a type of its own,
-    for which numba compiles anew: name only the numbers that the kernel reads.
+    These numbers must stay zero. numba compiles the kernels for each combination of zeros: name only numbers that the kernel reads.
     """
     bits = np.ascontiguousarray(laws, LAW).view(np.int64).reshape(len(laws), -1)
     off = {name for name, seen in zip(LAW.names or (), bits.T, strict=True) if name in numbers and not seen.any()}
@@ -126,7 +117,7 @@ def _on(number: object) -> Callable[[object], bool]:
 
 @njit(cache=True, nogil=True, inline="always")
 def heat_capacity(law: Law, T: float) -> float:
-    """c_p(T) in J/kgK: linear between the two points of the material data, constant beyond them."""
+    """c_p(T), J/(kg K): linear between the two points of the material data, constant outside."""
     if not on(law.cp_slope):
         return law.cp_0
     return law.cp_0 + law.cp_slope * (min(max(T, law.cp_T0), law.cp_T1) - law.cp_T0)
@@ -134,29 +125,29 @@ def heat_capacity(law: Law, T: float) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def conductivity(law: Law, T: float) -> float:
-    """k(T) in W/mK: linear between the two points of the material data, constant beyond them."""
+    """k(T), W/(m K): linear between the two points of the material data, constant outside."""
     return law.k_0 + law.k_slope * (min(max(T, law.k_T0), law.k_T1) - law.k_T0)
 
 
 def heat_capacities(laws: NDArray | np.void, T: NDArray) -> NDArray[np.float64]:
-    """`heat_capacity` of arrays: LAW records laws, one or (m,), at T (m,) K."""
+    """`heat_capacity` (m,) for one LAW record or records laws (m,), at T (m,) K."""
     return laws["cp_0"] + laws["cp_slope"] * (np.clip(T, laws["cp_T0"], laws["cp_T1"]) - laws["cp_T0"])
 
 
 def conductivities(laws: NDArray | np.void, T: NDArray) -> NDArray[np.float64]:
-    """`conductivity` of arrays: LAW records laws, one or (m,), at T (m,) K."""
+    """`conductivity` (m,) for one LAW record or records laws (m,), at T (m,) K."""
     return laws["k_0"] + laws["k_slope"] * (np.clip(T, laws["k_T0"], laws["k_T1"]) - laws["k_T0"])
 
 
 @njit(cache=True, nogil=True, inline="always")
 def heated(law: Law, T: float, q: float) -> float:
-    """Temperature (K) after a heat of q J/kg at T (K): exact for a c_p that is linear in T."""
+    """Temperature (K) after heating by q J/kg from T (K): exact for a linear c_p(T)."""
     cp = heat_capacity(law, T)
     slope = law.cp_slope if law.cp_T0 < T < law.cp_T1 else 0.0
     return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
 
 
-# numba compiles a function that says nothing of these as the kernel that calls it first: with fast arithmetic or without
+# without these options numba compiles a function as its first caller: with or without fast arithmetic
 _precise = njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
 _johnson_cook = _precise(strength.johnson_cook)
 _zerilli_armstrong = _precise(strength.zerilli_armstrong)
@@ -166,7 +157,7 @@ _preston_tonks_wallace = _precise(strength.preston_tonks_wallace)
 
 @_precise
 def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
-    """Flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K), by the law of the record."""
+    """Flow stress, Pa, by the strength law of the record. rate: plastic strain rate, 1/s; T: K."""
     if on(law.preston_tonks_wallace) and law.preston_tonks_wallace > 0.0:
         return _preston_tonks_wallace(law, eps_p, rate, T)
     if on(law.zerilli_armstrong) and law.zerilli_armstrong > 0.0:
@@ -178,24 +169,24 @@ def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def norm(gradient: Floats, i: int) -> float:
-    """Length of a gradient, gradient[i] of (n,3)."""
+    """Length of the vector gradient[i], gradient (n,3)."""
     return sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
 
 
 @_precise
 def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
-    """Flow stress, Pa, of a metal whose strength law gives sigma (Pa), where the plastic strain has the gradient eta, 1/m.
+    """Flow stress, Pa, with the gradient eta (1/m) of plastic strain. sigma: flow stress of the strength law, Pa.
 
-    The dislocations that a gradient needs (Ashby 1970, Phil. Mag. 21, 399) add to those stored at random, and the flow stress follows
-    the sum by Taylor's relation (`materials.Material.forest`): Nix & Gao (1998), J. Mech. Phys. Solids 46, 411; Huang et al. (2004),
-    Int. J. Plasticity 20, 753. y = b sqrt(density).
+    Dislocations due to the gradient (Ashby 1970, Phil. Mag. 21, 399) are added to statistically stored dislocations. Taylor's relation
+    (`materials.Material.forest`) gives the flow stress of the sum: Nix & Gao (1998), J. Mech. Phys. Solids 46, 411; Huang et al.
+    (2004), Int. J. Plasticity 20, 753. y = b sqrt(density).
     """
     modulus = 1.0 - law.softening * MODULUS_SLOPE * (T - ROOM) / law.T_m
     if not law.gradient_length > 0.0 or not sigma > 0.0 or not eta > 0.0 or not modulus > 0.0:
         return sigma
     A, B = modulus * law.forest, modulus * law.forest_slope
     y = sigma / (A + B * log(FIRST_Y))
-    for _ in range(NEWTON_STEPS):  # y (A + B ln y) = sigma: those stored at random
+    for _ in range(NEWTON_STEPS):  # y (A + B ln y) = sigma: statistically stored dislocations
         y = (sigma + B * y) / (A + B + B * log(y))
     both = sqrt(y * y + law.gradient_length * eta)
     return both * (A + B * log(both))
@@ -203,9 +194,9 @@ def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
 
 @njit(cache=True, nogil=True)
 def softened(law: Law, sigma_y: float, eps_p: float, old: float, T: float) -> float:
-    """Yield stress (Pa) at plastic strain eps_p when the temperature changes from `old` to T (K) without plastic flow.
+    """Yield stress (Pa) after a change of temperature from `old` to T (K) without plastic flow.
 
-    sigma_y times the softening ratio of the law: of 1 - theta^m for Johnson-Cook, else of the flow stresses at the slowest rate.
+    sigma_y times the ratio of the softening factors: 1 - theta^m for Johnson-Cook, otherwise the flow stress at eps_p and rate 0.
     """
     if law.softening == 0.0:
         return sigma_y
@@ -225,12 +216,11 @@ def harden(
     law: Law, deps: float, dt: float, J: float, flow: float, sigma_y: float, eps_p: float, rate: float, T: float,
     eta: float = 0.0,
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """Advance the plastic state over one step in which the plastic strain grew by `deps` at the mean stress `flow`
-    (Pa).
+    """Plastic state after a step with the plastic strain increment `deps` at the mean stress `flow` (Pa).
 
-    Returns (eps_p, rate, T, sigma_y, work): the new state, the yield stress the next step returns to, and the plastic
-    work of this step per reference volume in J/m3. J is the volume ratio, dt in s. Adiabatic: the Taylor-Quinney
-    share of the work becomes heat. sigma_y is the yield stress so far, kept where nothing flowed. eta: as in `with_gradient`.
+    Returns (eps_p, rate, T, sigma_y, work): the new state, the yield stress of the next step, and the plastic work of this step per
+    reference volume, J/m3. J: volume ratio; dt: s; eta: as in `with_gradient`. Adiabatic: the Taylor-Quinney fraction of the work
+    becomes heat. Without plastic flow sigma_y does not change.
     """
     tau = law.rate_filter
     weight = dt / (tau + dt)
@@ -270,10 +260,9 @@ def pressure(law: Law, J: float, energy: float) -> float:
 
 @_precise
 def mie_gruneisen(law: Law, J_old: float, J: float, p_old: float, energy: float, heat: float) -> tuple[float, float]:
-    """Pressure (Pa) and energy (J per reference m3) after a change of volume ratio from J_old to J and an input of
-    heat.
+    """Pressure (Pa) and energy (J per reference m3) after a change of the volume ratio from J_old to J and the supply of heat (J/m3).
 
-    `pressure` and the energy equation dE = -p dJ + dq are solved together (trapezoidal, linear in p).
+    Solution of `pressure` and the energy equation dE = -p dJ + dq (trapezoidal rule, linear in p).
     """
     dJ = J - J_old
     energy += heat - 0.5 * p_old * dJ
@@ -283,14 +272,14 @@ def mie_gruneisen(law: Law, J_old: float, J: float, p_old: float, energy: float,
 
 @njit(cache=True, nogil=True, inline="always")
 def bulk_stiffness(law: Law, J: float) -> float:
-    """-dp/dJ on the Hugoniot in Pa: how the compressed material stiffens; enters the stable time step."""
+    """-dp/dJ on the Hugoniot, Pa: stiffness of the compressed material, for the stable time step."""
     eta = max(1.0 - J, 0.0)
     return law.K * (1.0 + law.s * eta) / (1.0 - law.s * eta) ** 3
 
 
 @njit(cache=True)
 def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
-    """Pressure (n,) Pa of states at rest: one LAW record laws (1,), J (n,), energy (n,) J per reference m3."""
+    """`pressure` (n,) Pa: LAW record laws (1,), J (n,), energy (n,) J per reference m3."""
     law = laws[0]
     p = np.empty(len(J))
     for i in range(len(J)):
@@ -300,7 +289,7 @@ def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
 
 @njit(cache=True)
 def yield_stresses(laws: Laws, law_of: Ints, eps_p: Floats, T: Floats, gradient: Floats) -> Floats:
-    """Yield stress (m,) Pa of states at rest: LAW records laws, law_of (m,), eps_p (m,), T (m,) K, gradient (m,3) of eps_p 1/m."""
+    """Yield stress (m,) Pa at rate 0: LAW records laws, law_of (m,), eps_p (m,), T (m,) K, gradient (m,3) of eps_p, 1/m."""
     sigma = np.empty(len(T))
     for e in range(len(T)):
         law = laws[law_of[e]]
@@ -315,11 +304,11 @@ def von_mises_squared(sxx: float, syy: float, szz: float, syz: float, sxz: float
 
 
 def von_mises(stress: NDArray) -> NDArray[np.float64]:
-    """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, in their unit."""
+    """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, in the unit of the tensors."""
     deviator = stress[:, :3] - stress[:, :3].mean(axis=1)[:, None]
     return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
 
 
 def sound_speed(rho: float, K: float, G: float) -> float:
-    """Longitudinal wave speed in m/s."""
+    """Longitudinal wave speed, m/s."""
     return float(np.sqrt((K + 4.0 * G / 3.0) / rho))

@@ -1,4 +1,4 @@
-"""Libraries of records (materials, nozzles): tables of numbers and texts with units, of the package or of a scene."""
+"""Libraries of records (materials, nozzles): tables of numbers and texts with units, from the package or from a scene."""
 
 import re
 import tomllib
@@ -17,7 +17,7 @@ SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", re.ASCII)
 
 
 def load(package: str, file: str, read: Callable[[str, Mapping[str, object]], R]) -> dict[str, R]:
-    """The records of a TOML file of a package by name. read: makes one of its name and table."""
+    """The records of a TOML file of a package, by name. read(name, table): makes a record."""
     text = files(package).joinpath(file).read_text(encoding="utf-8")
     return {name: read(name, table) for name, table in tomllib.loads(text).items()}
 
@@ -28,9 +28,9 @@ def read_record(
 ) -> R:  # fmt: skip
     """A record, a dataclass with a name, from a table of its other fields.
 
-    read(field, value): reads a value, raises ValueError with what is wrong; values: for fields that the table lacks; hint: what to
-    do where both lack some; found, lacks: problems and missing fields of the
-    same table that are known already. Raises SceneError with every problem, each beginning with the field at fault.
+    read(field, value): reads a value, raises ValueError with the problem. values: of fields that are missing in the table. hint: text
+    for the message about missing fields. found, lacks: known problems and missing fields of the same table. Raises SceneError with all
+    problems; each begins with the name of the field.
     """
     known = [field.name for field in fields(kind) if field.name != "name"]  # type: ignore[arg-type]
     problems, values = list(found), dict(values)
@@ -51,13 +51,13 @@ def read_record(
 
 
 def refuse(problems: list[str], name: str) -> None:
-    """Raise SceneError if there are problems of the record of this name."""
+    """Raise SceneError if there are problems. name: of the record."""
     if problems:
         raise SceneError(problems, name)
 
 
 def read_number(value: object, unit: str, low: float, high: float) -> float:
-    """A number with a unit, or a plain one with unit "". Raises ValueError where it is none, or outside low to high (SI)."""
+    """A number with a unit, or without if unit is "". Raises ValueError for other values, and for numbers outside low to high (SI)."""
     if unit:
         number = units.parse(value, units.dimension_of(unit))
     elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -71,7 +71,7 @@ def read_number(value: object, unit: str, low: float, high: float) -> float:
 
 
 def read_text(value: object, pattern: re.Pattern[str] = PLAIN_TEXT, allowed: str = "no control characters") -> str:
-    """A text of the pattern. allowed: its characters in words, for the message. Raises ValueError for any other text."""
+    """A text that matches the pattern. allowed: the permitted characters, for the message. Raises ValueError for other values."""
     if not isinstance(value, str) or not (value.isprintable() and pattern.fullmatch(value)):
         raise ValueError(f"must be a text of at most 600 characters: {allowed}")
     return value

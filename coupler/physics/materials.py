@@ -1,6 +1,6 @@
-"""Materials: a metal's strength law, its shock equation of state and its heat, with their sources.
+"""Materials: strength law, shock equation of state and thermal data of a metal, with sources.
 
-The library is `materials.toml`; a scene may add materials or change numbers of these, in the same form.
+The library is `materials.toml`. A scene may add materials or change numbers of the library's materials, in the same form.
 """
 
 import math
@@ -22,12 +22,12 @@ _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
 _SAFE_WORDS = "A-Z, a-z, digits, spaces and _ . , : ; / ( ) = & + -"
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
-_HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
+_HARDEST = 5.0  # largest initial plastic strain for a hardness
 
 
 class Number(NamedTuple):
-    """A number of a material: its unit ("" for a plain one), smallest and largest value in SI, wide enough for any metal; varies: it
-    may depend on temperature."""
+    """A number of a material. unit: "" for a plain number; low, high: limits in SI units, wide enough for any metal; varies: it may
+    depend on temperature."""
 
     unit: str
     low: float
@@ -37,14 +37,14 @@ class Number(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A metal: strength law, shock equation of state, heat. SI units.
+    """A metal: strength law, shock equation of state, thermal data. SI units. None: not known.
 
-    c0, s: of the Hugoniot; cp, k and thermal_expansion (linear) ((T, value), ...): one pair, a constant, or two, linear between them
-    and constant outside; sigma_TS: tensile strength at 293 K, for critical velocities; oxide_thickness, oxide_strength: of the native
-    film; oxide_threshold: surface exposure at which it cracks (`physics.adhesion`); burgers: Burgers vector; taylor_alpha: coefficient
-    of Taylor's relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`); D_v, D_c: factors of
-    self-diffusion through the lattice and, times the area of a core, along dislocations; Q_v, Q_c: their activation energies, J/mol
-    (`physics.recovery`). None: not known.
+    c0, s: of the Hugoniot. cp, k, thermal_expansion (linear): ((T, value), ...), one pair for a constant, or two pairs, linear between
+    them and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities. oxide_thickness, oxide_strength,
+    oxide_threshold: thickness and strength of the native film, and surface exposure at which it cracks (`physics.adhesion`). burgers:
+    Burgers vector. taylor_alpha: coefficient of Taylor's relation at 1e12 dislocations per m2; 0: gradients of plastic strain do not
+    harden the metal (`forest`). D_v, Q_v: factor and activation energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: the
+    same along dislocations, times the area of a core (`physics.recovery`).
     """
 
     name: str
@@ -95,13 +95,13 @@ class Material:
 
     @property
     def gradient_length(self) -> float:
-        """r b, m: a gradient eta (1/m) of plastic strain needs r eta / b dislocations per area (Gao, Huang, Nix & Hutchinson (1999), J.
-        Mech. Phys. Solids 47, 1239); zero without `taylor_alpha`."""
+        """r b, m: a gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix & Hutchinson (1999),
+        J. Mech. Phys. Solids 47, 1239); zero without `taylor_alpha`."""
         return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
 
     @property
     def hardened_by_gradients(self) -> bool:
-        """Whether gradients of plastic strain can harden it."""
+        """Whether gradients of plastic strain can harden the metal."""
         return self.taylor_alpha > 0.0
 
     @property
@@ -116,7 +116,7 @@ class Material:
 
     @property
     def fitted_rate(self) -> float:
-        """Fastest strain rate that the strength is fitted at, 1/s: as its source says, else about that of Hopkinson bars."""
+        """Highest strain rate of the fit of the strength law, 1/s; if the source does not state it, a usual rate of Hopkinson bars."""
         rates = self.strength.fitted.rate
         return rates[1] if rates else HOPKINSON_RATE
 
@@ -137,14 +137,13 @@ class Material:
         return _interpolate(self.thermal_expansion, T)
 
     def effusivity(self, T: float) -> float:
-        """sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K): half-spaces in contact share heat in proportion to it."""
+        """sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K): the heat of a contact is divided between half-spaces in proportion to it."""
         return math.sqrt(self.k_at(T) * self.rho * self.cp_at(T))
 
     def initial_strain(self, hardness: float | None, yield_strength: float | None) -> float:
-        """Plastic strain that gives the metal a hardness or a yield strength, Pa, at 293 K and the slowest rate of its law.
+        """Initial plastic strain of a metal with a given hardness or yield strength, Pa, at 293 K and the lowest rate of its law.
 
-        Hardness: after a further strain of 0.08 the flow stress is a third of it (Tabor 1951). Raises ValueError with the range that
-        the law reaches.
+        Hardness: three times the flow stress after a further strain of 0.08 (Tabor 1951). Raises ValueError with the range of the law.
         """
         wanted = yield_strength if hardness is None else hardness
         if wanted is None:
@@ -168,7 +167,7 @@ class Material:
         return high
 
 
-#: The numbers of a material by field, and defaults; E and nu are the elastic constants of handbooks.
+#: The numbers of a material, and the default values, by field. E and nu: elastic constants of handbooks.
 _HINTS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Material, include_extras=True).items()}
 LIMITS: dict[str, Number] = {name: extra[0] for name, extra in _HINTS.items() if extra and isinstance(extra[0], Number)}
 DEFAULTS = {f.name: f.default for f in fields(Material) if f.default is not MISSING}
@@ -181,14 +180,14 @@ UNITS = {key: number.unit for key, number in (LIMITS | _OTHER_FIELDS).items()} |
 
 @dataclass(frozen=True)
 class Entry:
-    """A material of the library: with its first strength set, and the tables of all sets by name; other names of it."""
+    """A material of the library. material: with its first strength set; sets: tables of all sets by name; aliases: its other names."""
 
     material: Material
     sets: Mapping[str, Mapping[str, object]]
     aliases: tuple[str, ...]
 
     def with_set(self, choice: str) -> Material:
-        """The material with a strength set, by the set's name or its law's (the first). Raises ValueError that names all."""
+        """The material with the first strength set whose name or law is `choice`. Raises ValueError that lists all sets."""
         for name, table in self.sets.items():
             if choice in (name, table["law"]):
                 return _with_set(self.material, name, table)
@@ -204,14 +203,14 @@ class Entry:
 
 
 def names() -> list[str]:
-    """The materials of the library."""
+    """Names of the materials of the library."""
     return list(_library())
 
 
 def entry(name: str) -> Entry:
-    """A material of the library with all its sets, by its name or another.
+    """A material of the library with all its sets, by its name or an alias.
 
-    Raises ColdsprayError, with the nearest name, for any other.
+    Raises ColdsprayError with the nearest name for an unknown name.
     """
     known = _library() | _aliases()
     if name not in known:
@@ -220,9 +219,9 @@ def entry(name: str) -> Entry:
 
 
 def material(name: str, strength: str = "") -> Material:
-    """A material of the library, by its name or another. strength: a set or a law; the first set unless said.
+    """A material of the library, by its name or an alias. strength: a set or a law, by default the first set.
 
-    Raises ColdsprayError, which offers the nearest name, for any other.
+    Raises ColdsprayError with the nearest name for an unknown name.
     """
     try:
         return entry(name).with_set(strength) if strength else entry(name).material
@@ -231,23 +230,23 @@ def material(name: str, strength: str = "") -> Material:
 
 
 def fitted_at(metal: Material, rate: float) -> list[str]:
-    """Names of the strength sets that the library has for this metal, fitted up to a strain rate (1/s) at least."""
+    """Names of the library's strength sets of a metal whose fit includes a strain rate (1/s)."""
     known = _library().get(metal.name)
     ranges = {other.strength.set: other.strength.fitted.rate for other in known.materials} if known else {}
     return [name for name, limits in ranges.items() if limits and limits[1] >= rate]
 
 
 def unknown(name: str, known: Mapping[str, Material]) -> str:
-    """The message for an unknown material. known: materials by name and other names."""
+    """The message for an unknown material. known: materials by name and alias."""
     proper = {key: metal for key, metal in known.items() if key == metal.name}
     return f"unknown material{units.nearest(name, known)}; known: {', '.join(proper)}"
 
 
 def from_table(name: str, table: Mapping[str, object], base: Material | None = None) -> Material:
-    """Make a material from a table of numbers and texts with units.
+    """A material from a table of numbers and texts with units.
 
-    table: fields of Material as in materials.toml, or E, nu and density in the place of G, c0 and rho; `law` and the parameters of that
-    law. What it lacks is from `base`, else the defaults. Raises SceneError with all problems, each beginning with the field at fault.
+    table: fields of Material as in materials.toml, or E, nu and density instead of G, c0 and rho; `law` and its parameters. Other
+    values are from `base`, or the defaults. Raises SceneError with all problems; each begins with the name of the field.
     """
     values: dict[str, object] = dict(DEFAULTS if base is None else vars(base))
     values.pop("name", None)
@@ -280,7 +279,8 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
 
 
 def _with_own_fields(table: Mapping[str, object], base: Material | None, problems: list[str]) -> dict[str, object]:
-    """The table with rho in place of density, and with G and c0 = sqrt(K / rho) in place of E and nu. problems: grows."""
+    """The table with rho instead of density, and with G and c0 = sqrt(K / rho) instead of E and nu. problems: list to which problems
+    are added."""
     own = {"rho" if key == "density" else key: value for key, value in table.items()}
     given: dict[str, float] = {}
     for key in [key for key in ("E", "nu") if key in own]:
@@ -299,7 +299,7 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
         E, nu = values["E"], values["nu"]
         try:
             rho = library.read_number(own.get("rho", base and f"{base.rho!r} kg/m^3"), *LIMITS["rho"][:3])
-        except ValueError:  # told with the other fields
+        except ValueError:  # reported with the other fields
             rho = 1e3
         own["G"] = f"{E / (2.0 * (1.0 + nu))!r} Pa"
         own["c0"] = f"{math.sqrt(E / (3.0 * (1.0 - 2.0 * nu) * rho))!r} m/s"
@@ -309,11 +309,11 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
 def from_scene(
     tables: Mapping[str, Mapping[str, object]], strength: str = "", used: Collection[str] = ()
 ) -> tuple[dict[str, Material], list[str]]:
-    """The library with the materials of a scene added or changed, by their names and other names.
+    """The materials of the library and of a scene, by name and alias.
 
-    tables: the scene's [materials.NAME] tables; `base = "Ni"` starts from a material of the library, and a table that has the name
-    of one starts from that; `strength` is the set or the law to start from. strength: the set or law of the metals in `used` whose
-    own table names none. Returns (materials by name, problems).
+    tables: the scene's [materials.NAME] tables. A table with `base = "Ni"`, or with the name of a material of the library, starts from
+    this material; its key `strength` is the set or law to start from. strength: set or law of the metals in `used` whose tables name
+    none. Returns (materials by name, problems).
     """
     known, problems = _library() | _aliases(), []
     catalogue = {name: found.material for name, found in known.items()}
@@ -356,13 +356,13 @@ def _aliases() -> dict[str, Entry]:
 
 
 def _entry(name: str, table: Mapping[str, object]) -> Entry:
-    """A material of the library: its own fields, aliases, and sets, the first of which it has unless another is chosen."""
+    """A material of the library from its table: fields, aliases and strength sets."""
     rest = {key: value for key, value in table.items() if key not in ("aliases", "sets")}
     sets, aliases = table["sets"], table.get("aliases", [])
     assert isinstance(sets, Mapping)
     assert isinstance(aliases, list)
     first = next(iter(sets))
-    # what a set changes of the metal itself (its melting point, say) goes with the set
+    # a set may change fields of the metal too, such as its melting point
     metal = from_table(name, rest | {key: value for key, value in sets[first].items() if key != "source"})
     strength = replace(metal.strength, set=first, source=str(sets[first]["source"]))
     return Entry(replace(metal, strength=strength), sets, tuple(aliases))
@@ -383,7 +383,7 @@ def _read(key: str, value: object) -> float | Pairs | str:
 
 
 def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
-    """Read a property that may depend on temperature: one value, or two pairs [temperature, value]."""
+    """A property that may depend on temperature, from one value or two pairs [temperature, value]."""
     if isinstance(value, str):
         return ((300.0, library.read_number(value, unit, low, high)),)
     example = f'"... {unit}", or [["300 K", "... {unit}"], ["1073 K", "... {unit}"]]'

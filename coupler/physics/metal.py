@@ -1,4 +1,4 @@
-"""State of a metal that passes to the next impact: from the points of a particle to the elements of its splat."""
+"""State of the metal that is transferred to the next impact: from the points of a particle to the elements of its splat."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -7,14 +7,14 @@ import numpy as np
 
 from ..core.records import Rows, rows_of
 
-UNKNOWN: Any = None  # in a cloud of points that does not have a field
+UNKNOWN: Any = None  # value of a field that a cloud of points does not have
 
 
 @dataclass(frozen=True, kw_only=True)
 class MetalState:
-    """State of n points or elements: eps_p, the equivalent plastic strain that hardens; eps_recovered, what recovery has taken of it
-    (`physics.recovery`); T K; eps_gradient 1/m, gradient of eps_p (in the unrotated frame in an impact), zero in
-    metals that it does not harden. A further field here is stored, restored, meshed, joined and renumbered without other changes."""
+    """State of n points or elements. eps_p: equivalent plastic strain that hardens; eps_recovered: plastic strain removed by recovery
+    (`physics.recovery`); T K; eps_gradient 1/m: gradient of eps_p (in an impact in the unrotated frame), zero in metals that it does
+    not harden. A new field here is stored, restored, meshed, joined and renumbered without other changes."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN
@@ -23,10 +23,10 @@ class MetalState:
 
     @property
     def plastic_strain(self) -> np.ndarray:
-        """All equivalent plastic strain, (n,): what results say."""
+        """Total equivalent plastic strain (n,), the value in results."""
         return self.eps_p + self.eps_recovered
 
 
 def carried(record: MetalState) -> dict[str, np.ndarray]:
-    """The fields of a record that pass to the next impact, by name; unknown fields are left out."""
+    """The fields of a record that are transferred to the next impact, by name, without unknown fields."""
     return {name: vars(record)[name] for name in rows_of(MetalState) if vars(record)[name] is not None}

@@ -1,4 +1,4 @@
-"""What both domains do with positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
+"""Operations of both domains on positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
 
 from ..compiling import njit
 from ..core.arrays import Bools, Floats, Ints, Vector
@@ -38,7 +38,7 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 @njit(cache=True, nogil=True)
 def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, out: Floats, work: Floats) -> None:
-    """`work_of` all rows, part by part, into work (PARTS,) J; f_old becomes f, out becomes more, and more zero."""
+    """`work_of` all rows, by parts, in work (PARTS,) J. Then f is copied to f_old, more to out, and more is set to zero."""
     for lo, hi, part in ranges(team, 0, len(f_old), LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
@@ -50,7 +50,7 @@ def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Float
 def add_up(
     team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, total: Floats, work: Floats
 ) -> None:
-    """total = f + more of the first n rows, and `work_of` them, part by part, into work (PARTS,) J."""
+    """total = f + more of the first n rows, and their `work_of`, by parts, in work (PARTS,) J."""
     for lo, hi, part in ranges(team, 0, n, LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
@@ -102,10 +102,10 @@ def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats)
 def damp(
     lo: int, hi: int, free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Floats, momentum: Floats
 ) -> None:
-    """Velocity and momentum of the free rows over a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and M v' in the same way.
+    """Velocity and momentum of the free rows after a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and M v' by the same equation.
 
-    Stable up to the step without damping. damping a: of the critical one of the step. Of M^-1 f only the part `along` m/s2 is added
-    to v: that of the nodes' own masses is added by `kick`.
+    Stable up to the step without damping. damping: a, over the critical damping of the step. along: the part of M^-1 f, m/s2, that is
+    added to v here; `kick` adds the other part, from the masses of the nodes.
     """
     keep, add = (1.0 - damping) / (1.0 + damping), dt / (1.0 + damping)
     for a in range(lo, hi):
@@ -119,8 +119,8 @@ def damp(
 def moving(
     team: Ints, free: Bools, mass: Floats, f: Floats, along: Floats, momentum: Floats, v: Floats, before: Floats, sums: Floats
 ) -> None:  # fmt: skip
-    """Sums over the free rows, part by part, into sums (PARTS,3): of momentum . v (J), of -v . (f - before) (W), and of
-    f . M^-1 f (N m/s2), of which `along` m/s2 is the part beside that of the nodes' own masses. f becomes `before`."""
+    """Sums over the free rows, by parts, in sums (PARTS,3): momentum . v (J), -v . (f - before) (W) and f . M^-1 f (N m/s2). M^-1 f is
+    f over the masses of the nodes plus `along` (m/s2). Then f is copied to `before`."""
     for lo, hi, part in ranges(team, 0, len(free), LEAST):
         twice = power = unbalanced = 0.0
         for a in range(lo, hi):

@@ -1,9 +1,9 @@
-"""Static recovery: dislocations climb and annihilate in pairs, so that a metal loses hardening by plastic strain with time and heat.
+"""Static recovery: dislocations climb and annihilate in pairs; a metal loses strain hardening with time at high temperature.
 
 d rho/dt = -2 tau_L M rho^2: tau_L = G b^2 / 2 is the line tension, M = D b / (k_B T) the mobility of climb (Lagneborg (1972), Int.
-Metall. Rev. 17, 130; Sandstrom (2012), Acta Mater. 60, 314; second-hand), D = D_v + rho a_c D_c the diffusion through the lattice and
-along dislocations (Frost & Ashby (1982), Deformation-Mechanism Maps, eq. 2.20, second-hand). The density rho is that of the hardening
-of the strength law, by Taylor's relation. Nothing in it is fitted to recovery.
+Metall. Rev. 17, 130; Sandstrom (2012), Acta Mater. 60, 314; second-hand), D = D_v + rho a_c D_c the diffusion coefficient through the
+lattice and along dislocations (Frost & Ashby (1982), Deformation-Mechanism Maps, eq. 2.20, second-hand). Taylor's relation gives the
+dislocation density rho from the hardening of the strength law. No parameter is fitted to measured recovery.
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ _Y = np.geomspace(1e-7, 0.3, 300)  # b sqrt(rho)
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Static recovery of one metal. densities (k,) 1/m2, of strains (k,): both rise; lattice, core: D_v and a_c D_c as factor (m2/s,
-    m4/s) and activation energy, J/mol; climb: 2 tau_L b / k_B, m2 K."""
+    """Static recovery of one metal. densities (k,) 1/m2 at plastic strains (k,), both ascending. lattice, core: D_v and a_c D_c, each
+    as factor (m2/s, m4/s) and activation energy (J/mol). climb: 2 tau_L b / k_B, m2 K."""
 
     strains: np.ndarray
     densities: np.ndarray
@@ -30,14 +30,14 @@ class Recovery:
     climb: float
 
     def density(self, eps_p: np.ndarray) -> np.ndarray:
-        """Dislocations (1/m2) of plastic strains (m,)."""
+        """Dislocation density (m,) 1/m2 at plastic strains (m,)."""
         logs = np.log(np.maximum(eps_p, _STRAINS[0]))
         return np.exp(np.interp(logs, np.log(self.strains), np.log(self.densities)))
 
     def after(self, eps_p: np.ndarray, T: np.ndarray, time: float) -> np.ndarray:
-        """The plastic strain that still hardens, (m,), after `time` s at T (m,) K; at most eps_p (m,).
+        """Plastic strain (m,) that hardens after `time` s at T (m,) K; at most eps_p (m,).
 
-        A Strang splitting of both paths of diffusion, each in its closed form: stable and positive for any time.
+        Strang splitting of the two diffusion paths, each with its exact solution: stable and positive for any time.
         """
         D_v, D_c = (D * np.exp(-Q / (GAS_CONSTANT * T)) for D, Q in (self.lattice, self.core))
         half, rate = 0.5 * time * self.climb * D_v / T, 2.0 * time * self.climb * D_c / T
@@ -51,7 +51,7 @@ class Recovery:
 
 @cache
 def recovery_of(metal: Material) -> Recovery | None:
-    """The static recovery of a metal; None without its diffusion (`D_v` and its fellows) and the Taylor relation."""
+    """The static recovery of a metal; None if it lacks D_v, Q_v, D_c or Q_c, or the data of Taylor's relation."""
     known = metal.D_v, metal.Q_v, metal.D_c, metal.Q_c
     if None in known or not metal.hardened_by_gradients or metal.burgers is None:
         return None
@@ -60,12 +60,12 @@ def recovery_of(metal: Material) -> Recovery | None:
     annealed = metal.flow_stress(0.0, 0.0, metal.T_ref)
     hardening = np.array([metal.flow_stress(float(eps_p), 0.0, metal.T_ref) - annealed for eps_p in _STRAINS])
     rho = np.interp(hardening, _Y * (A + B * np.log(_Y)), (_Y / b) ** 2)
-    rises = np.diff(rho, prepend=0.0) > 0.0  # a law may saturate
+    rises = np.diff(rho, prepend=0.0) > 0.0  # the hardening of a law may saturate
     return Recovery(_STRAINS[rises], rho[rises], (D_v, Q_v), (D_c, Q_c), metal.G * b**3 / BOLTZMANN)
 
 
 def recovered_share(metal: Material, T: float, time: float, eps_p: float = 1.0) -> float:
-    """Share of the dislocations of a plastic strain that `time` s at T (K) take; 0 of a metal whose recovery is not known."""
+    """Fraction of the dislocations of a plastic strain eps_p that recover in `time` s at T (K); 0 if the recovery is not known."""
     law = recovery_of(metal)
     if law is None or time <= 0.0:
         return 0.0

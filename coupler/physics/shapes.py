@@ -1,21 +1,21 @@
-"""The particle shapes a scene can ask for: their dimensions at equal volume, and how they lie.
+"""The particle shapes of a scene: their dimensions at equal volume, and their orientation.
 
-The sizes follow from one number, the diameter of the sphere of equal volume, and the aspect ratios of the paper
-(doi:10.1016/j.jestch.2023.101579, 8181 um3 each). The paper draws its shapes without defining them; what stands for each word here:
+The dimensions follow from the diameter of the sphere of equal volume and from the aspect ratios of the paper
+(doi:10.1016/j.jestch.2023.101579, 8181 um3 each). The paper shows its shapes without definitions; here they are defined as:
 
 - sphere.
-- hollow_sphere: a shell whose inner diameter is half the outer one (the paper gives no wall); its metal has the volume.
-- oblate: a spheroid, equator over thickness 1.67.
-- rod: a cylinder with hemispherical ends, whole length over diameter 6.17.
+- hollow_sphere: a shell whose inner diameter is half the outer one (the paper gives no wall); the volume is that of the metal.
+- oblate: a spheroid, equatorial diameter over thickness 1.67.
+- rod: a cylinder with hemispherical ends, total length over diameter 6.17.
 - flake: a flat disc with a sharp rim, diameter over thickness 2.41.
 - angular: a cuboctahedron (8 triangles, 6 parallelograms, sharp edges) stretched by 1.31 along one axis.
 
-At tilt 0 the longest axis lies along x in the plane of the target and the shortest stands on it. A tilt turns the
-shape about y: positive, the end ahead (+x, where an oblique impact goes) dips; 90 deg puts a rod on its end and a
-flake on its edge. These are symmetric about their centre.
+At tilt 0 the longest axis is along x in the plane of the target, and the shortest axis is normal to the target. A tilt rotates the
+shape about y: at a positive tilt the end at +x, the direction of an oblique impact, moves towards the target. At 90 deg a rod stands on
+its end and a flake on its edge. All shapes are symmetric about their centre.
 
-A shape may also come from a file, a closed surface (`coupler.plan.solids`): "file". It lies as the file has it, its centre of
-volume in the place of the centre.
+The shape "file" is a closed surface from a file (`coupler.plan.solids`), in the orientation of the file; its centre of volume is the
+centre.
 """
 
 import itertools
@@ -38,8 +38,8 @@ def sphere_volume(diameter: float) -> float:
 
 @dataclass(frozen=True)
 class Form:
-    """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or wall, m; corners:
-    of the polyhedron or of the hull of a file's surface, m, else empty."""
+    """One shape in one size. lengths: extents (m) along x, y, z at tilt 0; thinnest: smallest thickness or wall, m; corners: of the
+    polyhedron, or of the convex hull of a file's surface, m; empty for other shapes."""
 
     name: str
     lengths: tuple[float, float, float]
@@ -47,7 +47,7 @@ class Form:
     corners: tuple[tuple[float, float, float], ...] = ()
 
     def support(self, nx: float, ny: float, nz: float) -> float:
-        """Distance (m) that the untilted shape reaches from its centre along the unit vector (nx, ny, nz)."""
+        """Support function, m: largest extent of the shape at tilt 0 from its centre along the unit vector (nx, ny, nz)."""
         a, b, c = (0.5 * length for length in self.lengths)
         if self.corners:
             return max(nx * x + ny * y + nz * z for x, y, z in self.corners)
@@ -60,25 +60,25 @@ class Form:
         return math.sqrt((a * nx) ** 2 + (b * ny) ** 2 + (c * nz) ** 2)
 
     def height(self, tilt: float = 0.0) -> float:
-        """Extent along z, m, when tilted by `tilt` rad."""
+        """Extent along z, m, at a tilt (rad)."""
         return self._extent(-math.sin(tilt), 0.0, math.cos(tilt))
 
     def width(self, tilt: float = 0.0) -> float:
-        """The larger of its extents along x and y, m, when tilted by `tilt` rad."""
+        """The larger of the extents along x and y, m, at a tilt (rad)."""
         return max(self._extent(math.cos(tilt), 0.0, math.sin(tilt)), self._extent(0.0, 1.0, 0.0))
 
     def _extent(self, nx: float, ny: float, nz: float) -> float:
         return self.support(nx, ny, nz) + self.support(-nx, -ny, -nz)
 
     def scaled(self, factor: float) -> "Form":
-        """The form scaled by a factor."""
+        """The shape with all lengths multiplied by a factor."""
         a, b, c = (factor * length for length in self.lengths)
         corners = tuple((factor * x, factor * y, factor * z) for x, y, z in self.corners)
         return Form(self.name, (a, b, c), factor * self.thinnest, corners)
 
 
 def form(name: str, diameter: float) -> Form:
-    """The dimensions of a shape that has the volume of a sphere of `diameter` m."""
+    """The dimensions of a shape with the volume of a sphere of `diameter` m."""
     D, ratio = diameter, ASPECT[name]
     if name == "sphere":
         return Form(name, (D, D, D), D)

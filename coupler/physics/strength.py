@@ -1,8 +1,7 @@
-"""Strength laws: the flow stress of a metal, each law one function of a record of its numbers, and the schema of these numbers.
+"""Strength laws: flow stress of a metal. Each law is a function of a record of its numbers; LAWS describes the numbers.
 
-A law is entered in LAWS. The functions are plain Python, so that a scene is checked without a compiler; `physics.constitutive`
-compiles the same functions (numba's njit) into the kernels of both domains, which call them through `yield_stress`. Every law is
-zero at the melting point and above: a liquid has no strength.
+The functions are plain Python, so that a scene is checked without a compiler. `physics.constitutive` compiles the same functions into
+the kernels of both domains (`yield_stress`). Every law is zero at the melting point and above: a liquid has no strength.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,19 +17,19 @@ from . import library
 
 ATOMIC_MASS = 1.66053907e-27  # kg
 HARDNESS_OVER_FLOW_STRESS = 3.0  # Tabor (1951), The Hardness of Metals
-STRAIN_OF_INDENT = 0.08  # the strain under a Vickers indenter that this ratio belongs to, the same source
+STRAIN_OF_INDENT = 0.08  # strain under a Vickers indenter for this ratio, same source
 
 
 class Numbers(Protocol):
-    """A record of a law: each number is a field."""
+    """A record of a law, as kernels read it: each number is a field."""
 
     def __getattr__(self, name: str, /) -> float: ...
 
 
 def on(number: float) -> bool:
-    """Whether a kernel holds the effect of this number of the law: not if it is an integer. Known when the kernel is compiled.
+    """Whether a kernel contains the effect of this number of the law: yes unless its type is integer. Known at compile time.
 
-    A zero in a plain record goes through the arithmetic of its effect, and changes nothing.
+    With a floating-point zero the effect is computed and does not change the result.
     """
     return not isinstance(number, int | np.integer)
 
@@ -38,9 +37,8 @@ def on(number: float) -> bool:
 def johnson_cook(law: Numbers, eps_p: float, rate: float, T: float) -> float:
     """Flow stress, Pa: (A + B eps_p^n) (1 + C ln(rate / eps_dot_0)) (1 - theta^m), theta = (T - T_ref) / (T_m - T_ref).
 
-    Johnson & Cook (1983), Proc. 7th Int. Symp. on Ballistics, p. 541. eps_p without unit, rate 1/s, T K. Beyond eps_dot_high, where
-    there is one, the second regime of the rate, bilinear in its logarithm and continuous: C ln(eps_dot_high / eps_dot_0) + C_high
-    ln(rate / eps_dot_high).
+    Johnson & Cook (1983), Proc. 7th Int. Symp. on Ballistics, p. 541. eps_p without unit, rate 1/s, T K. If C_high > 0, the rate term
+    above eps_dot_high is C ln(eps_dot_high / eps_dot_0) + C_high ln(rate / eps_dot_high), bilinear in the logarithm and continuous.
     """
     sigma = law.A
     if eps_p > 0.0:
@@ -59,7 +57,7 @@ def zerilli_armstrong(law: Numbers, eps_p: float, rate: float, T: float) -> floa
     """Flow stress, Pa: C_0 + (C_1 + C_2 eps_p^n) exp(-C_3 T + C_4 T ln rate) + C_5 eps_p^n.
 
     Zerilli & Armstrong (1987), J. Appl. Phys. 61, 1816: C_1 = C_5 = 0 and n = 1/2 for fcc metals, C_2 = 0 for bcc metals. eps_p
-    without unit, rate 1/s, T K. The exponent of the heat stays at zero or below: heat does not harden.
+    without unit, rate 1/s, T K. The thermal exponent is at most zero: a higher temperature does not harden.
     """
     if not on(law.softening) or law.softening == 0.0:
         T = law.T_ref
@@ -74,8 +72,8 @@ def zerilli_armstrong(law: Numbers, eps_p: float, rate: float, T: float) -> floa
 def steinberg_guinan(law: Numbers, eps_p: float, rate: float, T: float) -> float:
     """Flow stress, Pa: Y_0 (1 + beta (eps_p + eps_i))^n, at most Y_max, times 1 - G_T (T - T_ref).
 
-    Steinberg, Cochran & Guinan (1980), J. Appl. Phys. 51, 1498: for rates above some 1e5 1/s, where the flow stress is taken as
-    independent of the rate. eps_p, eps_i (the strain of the metal as received) without unit, rate 1/s, T K. Pressure does not enter.
+    Steinberg, Cochran & Guinan (1980), J. Appl. Phys. 51, 1498: for rates above some 1e5 1/s, with a flow stress that does not depend
+    on the rate. eps_p, eps_i (strain of the metal as received) without unit, rate 1/s, T K. The pressure has no effect.
     """
     sigma = min(law.Y_0 * (1.0 + law.beta * (max(eps_p, 0.0) + law.eps_i)) ** law.n, law.Y_max)
     if on(law.softening) and law.softening > 0.0 and T > law.T_ref:
@@ -84,11 +82,12 @@ def steinberg_guinan(law: Numbers, eps_p: float, rate: float, T: float) -> float
 
 
 def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> float:
-    """Flow stress, Pa: 2 G(T) tau with a saturation stress s, a yield stress y and a Voce hardening between them.
+    """Flow stress, Pa: 2 G(T) tau with a saturation stress s, a yield stress y and Voce hardening between them.
 
-    Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. Thermal activation, erf(kappa T/T_m ln(gamma xi / rate)),
-    and from some 1e8 1/s on phonon drag, s_0 (rate / gamma xi)^beta: the larger counts. G(T) = G_0 (1 - alpha T / T_m); xi, the
-    frequency of a shear wave across an atom, 1/s. eps_p without unit, rate 1/s, T K. Pressure does not enter G.
+    Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. The larger of the stress by thermal activation,
+    erf(kappa T/T_m ln(gamma xi / rate)), and the stress by phonon drag, s_0 (rate / gamma xi)^beta, from some 1e8 1/s on.
+    G(T) = G_0 (1 - alpha T / T_m), without effect of pressure; xi: frequency of a shear wave across an atom, 1/s. eps_p without unit,
+    rate 1/s, T K.
     """
     if not on(law.softening) or law.softening == 0.0:
         T = law.T_ref
@@ -97,7 +96,7 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
     T_hat = T / law.T_m
     softer = 1.0 - law.alpha * T_hat
     rate = min(max(rate, law.eps_dot_0), law.rate_limit)
-    drag = log(rate / (law.gamma_xi * sqrt(softer)))  # ln(rate / gamma xi), above zero where no activation is needed
+    drag = log(rate / (law.gamma_xi * sqrt(softer)))  # ln(rate / gamma xi), positive if no activation is needed
     activation = erf(law.kappa * T_hat * max(-drag, 0.0))
     s_drag = law.s_0 * exp(law.beta * drag)
     s = max(law.s_0 - (law.s_0 - law.s_inf) * activation, s_drag)
@@ -116,7 +115,7 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a law: its unit ("" for a plain number), its smallest and largest value in SI units, its default (None: needed)."""
+    """A number of a law. unit: "" for a plain number; low, high: limits in SI units; default: None if the number is required."""
 
     unit: str
     low: float
@@ -127,7 +126,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Law:
-    """A strength law: its function and its parameters. about: in words."""
+    """A strength law. function(record, eps_p, rate, T); about: description; parameters: by name."""
 
     function: Callable[[Numbers, float, float, float], float]
     about: str
@@ -135,7 +134,7 @@ class Law:
 
 
 _T_REF = Parameter("K", 1.0, 2000.0, 300.0, "temperature of the metal without thermal softening")
-_LOWEST_RATE = Parameter("1/s", 1e-6, 1e6, 1e-3, "slower rates count as this one")
+_LOWEST_RATE = Parameter("1/s", 1e-6, 1e6, 1e-3, "lower bound of the rate in the law")
 LAWS: dict[str, Law] = {
     "johnson_cook": Law(
         johnson_cook,
@@ -162,7 +161,7 @@ LAWS: dict[str, Law] = {
             "C_1": Parameter("MPa", 0.0, 1e11, 0.0, "thermal stress (bcc)"),
             "C_2": Parameter("MPa", 0.0, 1e11, 0.0, "thermal hardening (fcc)"),
             "C_3": Parameter("1/K", 0.0, 0.1, None, "softening"),
-            "C_4": Parameter("1/K", 0.0, 0.01, None, "softening less by this times ln rate"),
+            "C_4": Parameter("1/K", 0.0, 0.01, None, "decrease of the softening per ln rate"),
             "C_5": Parameter("MPa", 0.0, 1e11, 0.0, "athermal hardening (bcc)"),
             "n": Parameter("", 0.01, 2.0, 0.5, "exponent of the strain"),
             "eps_dot_0": _LOWEST_RATE,
@@ -176,7 +175,7 @@ LAWS: dict[str, Law] = {
             "Y_0": Parameter("MPa", 1e5, 2e10, None, "yield stress"),
             "Y_max": Parameter("MPa", 1e5, 2e10, None, "largest flow stress at T_ref"),
             "beta": Parameter("", 0.0, 1e5, None, "hardening"),
-            "n": Parameter("", 0.01, 2.0, None, "its exponent"),
+            "n": Parameter("", 0.01, 2.0, None, "exponent of the hardening"),
             "eps_i": Parameter("", 0.0, 5.0, 0.0, "plastic strain of the metal as received"),
             "G_T": Parameter("1/K", 0.0, 0.01, None, "softening, as of the shear modulus"),
             "eps_dot_0": _LOWEST_RATE,
@@ -196,7 +195,7 @@ LAWS: dict[str, Law] = {
             "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K over 2 G"),
             "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near melting over 2 G"),
             "y_1": Parameter("", 1e-5, 1.0, None, "yield stress between the regimes"),
-            "y_2": Parameter("", 0.0, 2.0, None, "its exponent"),
+            "y_2": Parameter("", 0.0, 2.0, None, "exponent of the rate in y_1"),
             "beta": Parameter("", 0.0, 1.0, None, "exponent of phonon drag"),
             "G_0": Parameter("GPa", 1e8, 1e12, None, "shear modulus at 0 K"),
             "alpha": Parameter("", 0.0, 0.99, None, "G(T) = G_0 (1 - alpha T / T_m)"),
@@ -206,16 +205,15 @@ LAWS: dict[str, Law] = {
         },
     ),
 }
-#: Numbers of all laws in a record: a law's own, and one that is 1.0 in records of the law of this name.
+#: Names of the numbers of all laws in a record.
 FIELDS = tuple(dict.fromkeys(["gamma_xi", "rate_limit", *(name for law in LAWS.values() for name in law.parameters)]))
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Range in which the parameters of a set were fitted; None where its source does not say.
+    """Range in which the parameters of a set are fitted; None: not stated in the source.
 
-    rate: slowest and fastest, 1/s, the fastest infinite where the source has no limit. temperature: coldest and hottest, K.
-    strain: largest plastic strain.
+    rate: lowest and highest, 1/s, infinite without an upper limit. temperature: lowest and highest, K. strain: largest plastic strain.
     """
 
     rate: tuple[float, float] | None = None
@@ -224,7 +222,7 @@ class Fitted:
 
     @property
     def words(self) -> str:
-        """The range as text, "not stated" where nothing is known."""
+        """The range as text, "not stated" if all are None."""
         parts = []
         if self.rate:
             fastest = f"to {self.rate[1]:.3g} 1/s" if self.rate[1] < inf else "1/s and faster"
@@ -237,7 +235,8 @@ class Fitted:
 
     @classmethod
     def read(cls, value: object) -> "Fitted":
-        """A range, such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K"], strain = 0.5 }; any of them may be absent."""
+        """Read a range such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K"], strain = 0.5 }; all keys are optional. Raises
+        ValueError with the problem."""
         if not isinstance(value, Mapping) or not set(value) <= {"rate", "temperature", "strain"}:
             raise ValueError("must be a table of rate, temperature, strain")
         ranges: dict[str, tuple[float, float] | None] = {"rate": None, "temperature": None}
@@ -258,7 +257,8 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Strength:
-    """A set of parameters of a strength law: its name in the library ("" for a scene's own), SI values by name, range, source."""
+    """A set of parameters of a strength law. numbers: SI values by name; set: its name in the library, "" for a set of a scene; fitted:
+    range of validity."""
 
     law: str
     numbers: dict[str, float] = field(hash=False)
@@ -272,11 +272,11 @@ class Strength:
 
     @property
     def label(self) -> str:
-        """Name for texts: the law, with the set where it has a name."""
+        """Name for texts: the law, and the set if it has a name."""
         return f"{self.law} ({self.set})" if self.set else self.law
 
     def fields(self, T_m: float, rho: float, softens: bool = True, rate_hardens: bool = True) -> dict[str, float]:
-        """The numbers of a record of the law, by field. T_m: melting point, K; rho: kg/m3."""
+        """The numbers of a LAW record, by field. T_m: melting point, K; rho: kg/m3; softens, rate_hardens: whether the effect is on."""
         values = dict.fromkeys((*FIELDS, *LAWS), 0.0) | self.numbers
         values |= {self.law: 1.0, "T_m": T_m, "softening": float(softens)}
         values["rate_limit"] = 1e30 if rate_hardens else values["eps_dot_0"]
@@ -296,9 +296,9 @@ class Strength:
 def read(
     table: Mapping[str, object], old: Strength | None, problems: list[str]
 ) -> tuple[Strength, list[str], list[str]]:
-    """The strength law of a material's table: (law, keys of the table that are its, parameters that are missing). problems: grows.
+    """The strength law of a material's table: (law, keys of the law, missing parameters). problems: list to which problems are added.
 
-    What the table does not say is from the old one, if that has the same law.
+    Values that the table does not have are those of `old`, if its law is the same.
     """
     law = table.get("law", old.law if old else "johnson_cook")
     if not isinstance(law, str) or law not in LAWS:

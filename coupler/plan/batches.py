@@ -1,20 +1,21 @@
-"""Batches: impacts that are computed side by side, each on its own cut of the target; they follow from the plan alone."""
+"""Batches: impacts that are computed in parallel, each on its own sub-domain of the target. They follow only from the plan."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 LARGEST_BATCH = 12
-GAP = 0.5  # diameters between two windows
-# mean diameters between the axes of two impacts whose splats may come to lie on each other: none of 195 on a coating is wider than 1.7
+GAP = 0.5  # least distance between two windows, in diameters
+# Distance of the axes of two impacts, in mean diameters, up to which their splats may overlap. The widest of 195 splats on a coating
+# has 1.7 diameters.
 MEET = 2.0
-AHEAD = 96  # impacts back among which those of a batch are looked for
+AHEAD = 96  # number of impacts that the search for a batch considers
 
 
 @dataclass(frozen=True)
 class Landing:
-    """Data of an impact on which batches depend. offset: of its axis, m; window: radius (m) within which the target is computed;
-    diameter: of the particle, m; dwell: time until the next impact, s."""
+    """Data of an impact for the choice of batches. offset: of its axis, m; window: radius (m) within which the target is computed, inf:
+    all of the target; diameter: of the particle, m; dwell: time until the next impact, s."""
 
     offset: tuple[float, float]
     window: float
@@ -24,8 +25,8 @@ class Landing:
 
 @dataclass(frozen=True)
 class Batch:
-    """Impacts first to stop - 1. cut: radius (m) of the largest of their cuts, inf where it is the whole target; pause: time (s) until
-    the next batch in which heat flows, 0 without."""
+    """Impacts first to stop - 1. cut: radius (m) of the largest of their sub-domains, inf: the full target; pause: time (s) of heat
+    conduction until the next batch, 0: none."""
 
     first: int
     stop: int
@@ -34,13 +35,13 @@ class Batch:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the cut is the whole target."""
+        """Whether the sub-domain is the full target."""
         return math.isinf(self.cut)
 
 
 def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]:
-    """The batches of a plan, in the order of arrival, each up to an impact whose window is not apart. is_cooled: whether heat flows
-    between impacts."""
+    """The batches of a plan, in the order of the impacts. A batch ends before an impact whose window is too close to another window of
+    the batch. is_cooled: whether heat flows between impacts."""
     found, first = list[Batch](), 0
     while first < len(impacts):
         stop = first + 1
@@ -53,9 +54,9 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
-    """An order of impacts that makes large batches. An impact moves to a later batch if its window lies apart from the windows of that
-    batch and its splat from the splats of all impacts in between: splats that may overlap keep their order. Batches are made from the
-    last one back, each as large as can be: the pause after a batch costs the more the higher the coating is."""
+    """An order of impacts with large batches: indices of the impacts. An impact moves to a later batch if its window is apart from the
+    windows of this batch, and its splat cannot overlap the splats of all impacts in between. Thus splats that may overlap keep their
+    order. The last batch is filled first, then the one before it, because a pause costs more on a higher coating."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()
@@ -72,14 +73,14 @@ def side_by_side(impacts: Sequence[Landing]) -> list[int]:
         left = passed + left[AHEAD:]
     order: list[int] = []
     for before, group in zip([[], *groups], groups, strict=False):
-        # one that meets the group before it comes first: there a batch ends
+        # an impact too close to the group before comes first, so that a batch ends there
         meets = [i for i in group if not _apart([impacts[k] for k in before], impacts[i])][:1]
         order += meets + [i for i in group if i not in meets]
     return order
 
 
 def _apart(others: Sequence[Landing], new: Landing) -> bool:
-    """Whether the window of an impact lies apart from the windows of others."""
+    """Whether the window of an impact is apart from the windows of other impacts."""
     return math.isfinite(new.window) and all(
         math.dist(a.offset, new.offset) > a.window + new.window + GAP * max(a.diameter, new.diameter) for a in others
     )

@@ -1,12 +1,13 @@
-"""Problems that only several fields of a scene together have, most of them with derived numbers."""
+"""Problems in the relations between several fields of a scene, most of them from derived numbers."""
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from ..physics import materials
-from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, Adhesion, critical_velocity, oxide_film, stored_at_strength
+from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, Adhesion, critical_velocity, oxide_film
 from ..physics.materials import Material
 from ..scene.messages import shown, text_of
 from ..scene.model import SceneData
@@ -14,31 +15,34 @@ from ..scene.tables import Particle, Substrate
 from . import cost as estimates
 from .derived import Derived
 
-_LEAST_WINDOW = 0.6  # particles' widths: the footprint of a splat
-STEEPEST = 0.25  # Sa over the correlation length: slope 0.63 (root mean square), steps of elements fall to 0.7
+_LEAST_WINDOW = 0.6  # radius over the width of a particle: the footprint of a splat
+STEEPEST = 0.25  # Sa over the correlation length: root mean square slope 0.63, time steps of elements decrease to 0.7
 _CELLS_OF_ROUGHNESS = 4.0  # elements in a correlation length
-_DEEPEST = 0.05  # Sa over the height of the target: below, elements keep their heights to a fifth
+_DEEPEST = 0.05  # Sa over the height of the target: at smaller values the heights of elements change by a fifth at most
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
-_HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength left
+_HOTTEST = 0.95  # temperature over melting point: above it the Johnson-Cook law has almost no strength
 
-Problem = tuple[tuple[str, ...], str]  # the fields it looked at, the message
+_um = partial(units.rounded, unit="um")
+
+Problem = tuple[tuple[str, ...], str]  # the fields of the check, the message
 
 
 def _wrong(field: str, value: float, unit: str, text: str, *looked: str) -> Problem:
-    """A problem of the value (SI) of a field. looked: the other fields that it looked at."""
+    """A problem of the value (SI) of a field. looked: the other fields of the check."""
     return (field, *looked), f"{field} = {text_of(value, unit)}: {text}"
 
 
 def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set[str]) -> Iterator[Problem]:
-    """Problems that only several fields together have, each with the fields it looked at."""
+    """Problems in the relations between several fields, each with the fields of the check. catalogue: materials by name; broken: names
+    materials.NAME of tables with errors."""
     d = Derived(scene)
     bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
     bodies[:0] = zip(scene.labels, scene.particles, strict=True)
     for where, body in bodies:
         material = catalogue.get(body.material)
         if material is None:
-            if f"materials.{body.material}" not in broken:  # else its own problems are in the list already
+            if f"materials.{body.material}" not in broken:  # otherwise the list has its problems
                 yield (
                     (f"{where}.material",),
                     f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}",
@@ -62,7 +66,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     if scene.resolution.engine == "machdyn" and asked:
         yield (
             ("resolution.engine", "effects"),
-            "resolution.engine = machdyn: it knows no gradients of plastic strain (gradient_hardening): take enriched or compiled",
+            "resolution.engine = machdyn: it has no gradients of plastic strain (gradient_hardening): use enriched or compiled",
         )
     if asked and known and not any(metal.hardened_by_gradients for metal in known):
         yield (
@@ -71,7 +75,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         )
     yield from _adhesion(d, catalogue)
     if scene.output.at == "ends" and scene.output.every is not None:
-        yield ("output.at", "output.every"), 'output.every: of no use with output.at = "ends"; leave one of them out'
+        yield ("output.at", "output.every"), 'output.every: has no effect with output.at = "ends": remove one of them'
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
     if records > _MOST_RECORDS:
         least = units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, "ns")
@@ -81,7 +85,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
 
 
 def _hardness(where: str, particle: Particle, material: Material | None) -> Iterator[Problem]:
-    """Whether the strength law of the metal reaches the hardness or the yield strength of the powder."""
+    """Check that the strength law of the metal can have the hardness or the yield strength of the powder."""
     field = "yield_strength" if particle.hardness is None else "hardness"
     if particle.hardness is not None and particle.yield_strength is not None:
         yield (f"{where}.hardness", f"{where}.yield_strength"), f"{where}: give hardness or yield_strength, not both"
@@ -94,16 +98,16 @@ def _hardness(where: str, particle: Particle, material: Material | None) -> Iter
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:
-    """Fields of all particles, as messages call them."""
+    """Names of fields of all particles in messages."""
     return tuple(f"{label}.{name}" for label in scene.labels for name in names)
 
 
 def _size(particle: Particle) -> str:
-    return f"a particle of {units.rounded(max(particle.diameter, particle.width), 'um')}"
+    return f"a particle of {_um(max(particle.diameter, particle.width))}"
 
 
 def _room(d: Derived) -> Iterator[Problem]:
-    """Whether every particle and its crater find room on the target."""
+    """Check that the target is large enough for each particle and its crater."""
     scene = d.scene
     substrate = scene.substrate
     across = [(max(p.diameter, p.width) + 2 * p.diameter, p) for p in scene.particles]
@@ -111,28 +115,23 @@ def _room(d: Derived) -> Iterator[Problem]:
     for name, extent, needs in (("diameter", substrate.diameter, across), ("height", substrate.height, deep)):
         least, particle = max(needs, key=lambda need: need[0])
         if extent < least * (1 - 1e-9):
-            text = f"too small for {_size(particle)} and its crater; at least {units.rounded(least, 'um')} is needed"
+            text = f"too small for {_size(particle)} and its crater; at least {_um(least)} is needed"
             yield _wrong(f"substrate.{name}", extent, "um", text, *_fields(scene, *_EXTENT))
     if substrate.roughness > 0.0:
         steepest, coarse = substrate.roughness / STEEPEST, _CELLS_OF_ROUGHNESS * d.element_size
         if substrate.roughness_length < max(steepest, coarse) * (1 - 1e-9):
-            why = (
-                "steeper than meshes bear"
-                if steepest > coarse
-                else f"not resolved by elements of {units.rounded(d.element_size, 'um')}"
-            )
-            text = f"the surface is {why}: at least {units.rounded(max(steepest, coarse), 'um')}, or a lower roughness"
+            coarseness = f"not resolved by elements of {_um(d.element_size)}"
+            why = "steeper than meshes bear" if steepest > coarse else coarseness
+            text = f"the surface is {why}: give at least {_um(max(steepest, coarse))}, or a lower roughness"
             yield _wrong("substrate.roughness_length", substrate.roughness_length, "um", text, "substrate.roughness")
         if substrate.roughness > _DEEPEST * substrate.height:
-            text = (
-                f"too rough for a target of {units.rounded(substrate.height, 'um')}: at most a twentieth of its height"
-            )
+            text = f"too rough for a target of {_um(substrate.height)}: give at most a twentieth of its height"
             yield _wrong("substrate.roughness", substrate.roughness, "um", text, "substrate.height")
     widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
     least = _LEAST_WINDOW * max(widest.diameter, widest.width)
     if substrate.window is not None and substrate.window < least * (1 - 1e-9):
-        needed = f"at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use"
-        text = f"holds less than what {_size(widest)} covers; {needed}"
+        needed = f"at least {_um(least)} is needed, twice the diameter is recommended"
+        text = f"smaller than the area that {_size(widest)} covers: {needed}"
         yield _wrong("substrate.window", substrate.window, "um", text, *_fields(scene, *_EXTENT))
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         D, gap = particle.diameter, d.gap_of(particle)
@@ -141,30 +140,31 @@ def _room(d: Derived) -> Iterator[Problem]:
         if away and away > room:
             yield (
                 (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"),
-                f"{where}.offset: {units.rounded(away, 'um')} off the axis takes {_size(particle)} and its crater"
-                f" to the target's edge; at most {units.rounded(max(room, 0.0), 'um')}",
+                f"{where}.offset: at {_um(away)} from the axis {_size(particle)} and its crater"
+                f" reach the target's edge; at most {_um(max(room, 0.0))} is possible",
             )
         if gap > D:
-            yield (f"{where}.gap", f"{where}.diameter"), f"{where}.gap: more than the diameter of {_size(particle)}"
-        drift = gap * math.tan(particle.angle)  # along x, while the particle flies over the gap
+            text = f"{where}.gap: larger than the diameter of {_size(particle)}: give a smaller gap"
+            yield (f"{where}.gap", f"{where}.diameter"), text
+        drift = gap * math.tan(particle.angle)  # along x during the flight over the gap
         landing = math.hypot(particle.offset[0] + drift, particle.offset[1])
         if away <= room < landing:
             text = (
-                f"at {math.degrees(particle.angle):.3g} degrees the particle drifts {units.rounded(drift, 'um')} over the gap and lands"
-                f" {units.rounded(landing, 'um')} off the axis, over the target's edge; at most"
-                f" {units.rounded(max(room, 0.0), 'um')}: take a smaller gap or a wider target"
+                f"at {math.degrees(particle.angle):.3g} degrees the particle moves {_um(drift)} sideways over the gap,"
+                f" and lands {_um(landing)} from the axis, outside the target; at most"
+                f" {_um(max(room, 0.0))} is possible: give a smaller gap or a wider target"
             )
             looked = *(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle")), "substrate.diameter"
             yield _wrong(f"{where}.gap", gap, "um", text, *looked)
         flight, limit = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
         if limit is not None and flight >= limit:
-            over = f"the gap of {units.rounded(gap, 'um')}, which takes {units.rounded(flight, 'ns')}"
-            text = f"shorter than the flight over {over}: {where} would not touch the target"
+            over = f"the gap of {_um(gap)}, which takes {units.rounded(flight, 'ns')}"
+            text = f"shorter than the flight over {over}: {where} would not reach the target; give a longer time or a smaller gap"
             yield _wrong("end.time", limit, "ns", text, f"{where}.gap", f"{where}.velocity", f"{where}.angle")
 
 
 def _resolution(d: Derived) -> Iterator[Problem]:
-    """Whether the points and elements are fine enough for the smallest particle, and few enough for the machine."""
+    """Check that points and elements are fine enough for the smallest particle, and that the machine has enough memory."""
     scene = d.scene
     smallest = min(scene.particles, key=lambda p: p.diameter)
     flattest = min(scene.particles, key=lambda p: p.form.thinnest)
@@ -179,21 +179,21 @@ def _resolution(d: Derived) -> Iterator[Problem]:
         yield (
             needs,
             f"{given} gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed: give"
-            f" resolution.spacing, {units.rounded(widest, 'um')} at most, or leave the smallest particles out",
+            f" resolution.spacing, {_um(widest)} at most, or leave the smallest particles out",
         )
     elif thinnest < estimates.LEAST_LAYERS * d.spacing:
         yield (
             (*needs, *_fields(scene, "shape")),
-            f"{given} is too coarse for {units.rounded(thinnest, 'um')}, the thinnest part of this {flattest.shape}: give"
-            f" resolution.spacing, {units.rounded(thinnest / estimates.LEAST_LAYERS, 'um')} at most",
+            f"{given} is too coarse for {_um(thinnest)}, the thinnest part of this {flattest.shape}: give"
+            f" resolution.spacing, {_um(thinnest / estimates.LEAST_LAYERS)} at most",
         )
     coarsest = smallest.diameter / 4
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
         if requested is not None and requested > coarsest:
             feature = "crater" if field == "resolution" else "splat"
-            text = f"too coarse for the {feature} of {_size(smallest)}; at most {units.rounded(coarsest, 'um')}"
+            text = f"too coarse for the {feature} of {_size(smallest)}; at most {_um(coarsest)}"
             yield _wrong(f"{field}.element_size", requested, "um", text, *_fields(scene, "diameter"))
-    # while the last impact runs, all splats before it are elements
+    # during the last impact all earlier splats are elements
     splats = sum(map(d.splat_elements_of, scene.particles[:-1]))
     memory, there = estimates.memory(d.points, d.elements + splats), estimates.machine_memory()
     if memory > there:
@@ -204,12 +204,12 @@ def _resolution(d: Derived) -> Iterator[Problem]:
             (*needs, *offsets, *sizes),
             f"resolution: {d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about"
             f" {memory / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB;"
-            " take a larger spacing and element_size, or a coarser preset",
+            " give a larger spacing and element_size, or a coarser preset",
         )
 
 
 def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
-    """Whether the table [adhesion] makes a law, and the materials have what its criterion looks at."""
+    """Check the table [adhesion], and that the materials have the data for its criterion."""
     try:
         law = d.adhesion_law
     except SceneError as error:
@@ -223,8 +223,8 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1:
         yield (
             ("adhesion.kind", "particle"),
-            f"adhesion: several particles need something that holds them, and the critical velocity of {without} is not known (no"
-            ' sigma_TS): give kind = "cohesive" with strength and energy, "tied", or "none" if nothing holds them',
+            f"adhesion: several particles need a law of adhesion, and the critical velocity of {without} is not known (no sigma_TS):"
+            ' give kind = "cohesive" with strength and energy, "tied", or "none" for no adhesion',
         )
     for pair in law.pairs:
         if unknown := [name for name in pair.metals if name not in catalogue]:
@@ -249,7 +249,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
 
 
 def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
-    """Whether the fracture energy of a bond is at least the energy that its spring stores at its strength (`contact.bond.Bond`)."""
+    """Check that the fracture energy of a bond is at least the energy of its spring at the strength (`contact.bond.Bond`)."""
     names = [d.scene.substrate.material, *(particle.material for particle in d.scene.particles)]
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:
@@ -260,10 +260,10 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
         strength, energy = strength or law.strength, law.energy if energy is None else energy
         if strength is None or not energy or (prefix and law.shear_strength is None and law.shear_energy is None):
             continue
-        least = stored_at_strength(strength, stiffness)
+        least = strength**2 / (2.0 * stiffness)
         if energy < least:
             text = (
-                f"less than the {least:.3g} J/m2 that the springs of a bond hold at {text_of(strength, 'MPa')} with this spacing:"
+                f"less than the {least:.3g} J/m2 that the springs of a bond store at {text_of(strength, 'MPa')} with this spacing:"
                 " give more energy, 0 for a brittle bond, less strength, or a finer preset"
             )
             looked = f"adhesion.{prefix}strength", "resolution.spacing", "preset"

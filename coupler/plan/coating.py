@@ -1,4 +1,4 @@
-"""What the [coating] table of a scene does: it becomes a list of particles, drawn from its seed, the same on every machine."""
+"""The table [coating] of a scene: it becomes a list of random particles from a seed, equal on all machines."""
 
 import glob
 import math
@@ -17,18 +17,18 @@ from ..physics.shapes import sphere_volume
 from ..scene.tables import Coating, PowderTable, read_table
 from .powder import sizes_of
 
-_STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # while the table itself is at fault
-_CANDIDATES = 20  # places of which an "even" layer takes the one farthest from those it has
-_CUT = 2.0  # standard deviations of the velocity
-_BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not given
-_MIDDLE = 0.05, 0.95  # shares of the mass between which particles are drawn from sizes by mass
+_STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
+_CANDIDATES = 20  # random positions; an "even" layer uses the one farthest from its other positions
+_CUT = 2.0  # limit of the velocity, in standard deviations
+_BROADER = 3.0  # default limits of the diameter, in standard deviations of the logarithm
+_MIDDLE = 0.05, 0.95  # cumulative mass fractions of the smallest and largest particles, with sizes by mass
 _CLASSES = 200  # of equal mass or number
 
 
 @dataclass(frozen=True)
 class Fed:
-    """A powder that particles are drawn from. rho: density, kg/m3; files: with shapes; by_number: diameters (m) and the shares of the
-    number of particles below them, where the table gives sizes by mass."""
+    """A powder for random particles. rho: density, kg/m3; files: with shapes; by_number: diameters (m) and cumulative fractions of the
+    number of particles, if the table has sizes by mass."""
 
     table: PowderTable
     rho: float = 1.0
@@ -57,9 +57,9 @@ class Fed:
 
 
 def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Material]) -> list[str]:
-    """Put the particles of a table [coating] into a scene that has no particles. Returns the problems of having both. raw: the scene as
-    nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they are. The table's own
-    problems are reported by the scene's check; until then a particle stands in for those it would make. catalogue: metals by name."""
+    """Add the particles of the table [coating] to a scene without particles. raw: the scene as nested dicts, changed in place; folder:
+    base of the names of files; catalogue: metals by name. The scene.toml of a run has the table and its particles: these do not change.
+    Returns the problems. The check of the scene reports errors in the table; for this check a valid particle is added."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
         raw.setdefault("particle", [dict(_STAND_IN)])
@@ -67,7 +67,7 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
     there = raw.get("particle")
     if there is not None:
         if not isinstance(there, list) or len(there) != table.number:
-            return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
+            return ["coating: the scene also has particles: remove the table [coating] or the particles"]
         return []
     fed, problems = list[Fed](), list[str]()
     for i, powder in enumerate(table.powders, 1):
@@ -86,7 +86,7 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
 
 
 def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -> Fed:
-    """A powder with its files. folder: to which their names are relative. Raises ValueError, the field first."""
+    """A powder with its files. folder: base of their names. Raises ValueError, beginning with the name of the field."""
     files = sorted(map(Path, glob.glob(str(folder / powder.files), recursive=True))) if powder.files else []
     if powder.material not in catalogue:
         raise ValueError(f'material = "{powder.material[:40]}": {unknown(powder.material[:40], catalogue)}')
@@ -103,13 +103,13 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
     D = np.array([sizes.diameter(u) for u in share])
     D = D[(D >= (powder.smallest or 0.0)) & (D <= (powder.largest or math.inf))]
     if len(D) < 2:
-        raise ValueError("smallest, largest: no particle of the powder lies between them")
+        raise ValueError("smallest, largest: the powder has no particles between them: give wider limits")
     number = np.concatenate([[0.0], np.cumsum((0.5 * (D[:-1] + D[1:])) ** -3.0)])  # each class has the same mass
     return Fed(powder, rho, files, (D, number / number[-1]))
 
 
 def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
-    """Number of particles of each powder, whose masses have the shares of the table. Raises ValueError where one has no particle."""
+    """Number of particles of each powder, for the mass fractions of the table. Raises ValueError if a powder has no particle."""
     shares = [powder.share for powder in table.powder] if table.powder else [1.0]
     each = np.array([share / powder.mass for share, powder in zip(shares, fed, strict=True)])
     exact = table.number * each / each.sum()
@@ -119,17 +119,17 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
         i = int(np.argmin(counts))
         least = math.ceil(0.5 * each.sum() / each[i])
         raise ValueError(
-            f"number = {table.number}: powder[{i + 1}] gets none of them by its share: give {least} or more"
+            f"number = {table.number}: powder[{i + 1}] has no particle, because its share is small: give {least} or more"
         )
     return counts.tolist()
 
 
 def particles(table: Coating, fed: Sequence[Fed] | None = None) -> list[dict[str, str | list[str]]]:
-    """The particles of a coating as a scene writes them, in the order of their impacts, a layer after the other.
+    """The particles of a coating as tables of a scene, in the order of their impacts, layer by layer.
 
-    Only `random.Random.random` is drawn from, which Python keeps the same in all versions; quantities are written with so many
-    digits as they are to be read with. Velocity and temperature are left out where the table has none. fed: the powders of the table.
-    Raises ValueError where a powder is so rare that it gets no particle.
+    All random numbers are from `random.Random.random`, which is equal in all versions of Python. The texts have all digits of the
+    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table. Raises ValueError if a powder has
+    no particle.
     """
     fed = fed or [Fed(table)]
     dice = random.Random(table.seed)
@@ -177,7 +177,7 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
 
 
 def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
-    """Linear between pairs (diameter m, value), constant beyond the first and the last."""
+    """Value at a diameter (m): linear between the pairs (diameter m, value), constant outside."""
     for (low, at_low), (high, at_high) in pairwise(pairs):
         if low <= diameter <= high:
             return at_low + (at_high - at_low) * (diameter - low) / (high - low)
@@ -185,7 +185,8 @@ def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
 
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:
-    """Somewhere on the disc, uniform in area (m); for "even" layers the best of some candidates (Mitchell 1991)."""
+    """A random position (m) on the disc, uniform in area; in an "even" layer the best of several candidates (Mitchell 1991). places:
+    the positions of the layer."""
 
     def anywhere() -> tuple[float, float]:
         r, phi = table.radius * math.sqrt(dice.random()), 2.0 * math.pi * dice.random()
@@ -197,13 +198,13 @@ def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]
 
 
 def _cut_normal(u: float) -> float:
-    """The u-quantile of a normal distribution of deviation 1 cut at `_CUT`."""
+    """The u-quantile of the standard normal distribution between -_CUT and _CUT."""
     low = NormalDist().cdf(-_CUT)
     return NormalDist().inv_cdf(low + u * (1.0 - 2.0 * low))
 
 
 def _shape(table: PowderTable, u: float) -> str:
-    """The shape at the share u (0 to 1) of all, in the order of the table."""
+    """The shape at the cumulative fraction u (0 to 1), in the order of the table."""
     total = sum(table.shapes.values())
     for name, share in table.shapes.items():
         u -= share / total

@@ -1,4 +1,4 @@
-"""Numbers that follow from a scene: resolution, times, extents, estimated sizes. Everything here is a formula."""
+"""Numbers that follow from a scene by formulas: resolution, times, extents, estimated sizes."""
 
 import math
 from dataclasses import dataclass
@@ -10,11 +10,10 @@ from ..physics.adhesion import Adhesion, PairBond
 from ..physics.materials import Material
 from ..scene.model import SceneData
 from ..scene.tables import Particle, Spray, Substrate
-from ..spray.stream import Stream
 from . import cost as estimates
 
-_OUTPUTS_PER_CROSSING = 25.0  # written steps in D / v, of one impact ...
-_OUTPUTS_IN_ALL = 1250.0  # ... and in the crossings of a long sequence together
+_OUTPUTS_PER_CROSSING = 25.0  # written steps in the time D / v of an impact, at most ...
+_OUTPUTS_IN_ALL = 1250.0  # ... and over all impacts of a sequence, at most
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class Derived:
 
     @cached_property
     def spacing(self) -> float:
-        """Distance of the points, m, of all particles: the scene's own, or the preset's for the largest particle; a finer one where the
-        smallest or the thinnest needs it, down to that of the finest preset."""
+        """Spacing of the points of all particles, m: from the scene, or from the preset for the largest particle. It is finer if the
+        smallest or thinnest particle needs it, but not finer than that of the finest preset."""
         if self.scene.resolution.spacing is not None:
             return self.scene.resolution.spacing
         particles = self.scene.particles
@@ -39,39 +38,39 @@ class Derived:
         return min(estimates.spacing(largest, estimates.PRESETS[self.scene.preset]), max(needed, finest))
 
     def points_of(self, particle: Particle) -> int:
-        """Points of a particle, about: its volume over the cube of the spacing."""
+        """Approximate number of points of a particle: its volume over the cube of the spacing."""
         return round(particle.volume / self.spacing**3)
 
     @property
     def points(self) -> int:
-        """Points of the largest particle, about."""
+        """Approximate number of points of the largest particle."""
         return max(map(self.points_of, self.scene.particles))
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Middle (x, y) of the box that holds all offsets, m."""
+        """Middle (x, y) of the range of all offsets, m."""
         xs, ys = zip(*(p.offset for p in self.scene.particles), strict=True)
         return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
     @property
     def spread(self) -> float:
-        """Radius about `centre` of the disc that holds all offsets, m."""
+        """Radius of the disc about `centre` that contains all offsets, m."""
         return max(math.dist(p.offset, self.centre) for p in self.scene.particles)
 
     @property
     def refined_radius(self) -> float:
-        """Distance from the disc of `spread` up to which the target has the smallest elements, m: it covers the widest particle."""
+        """Distance from the disc of radius `spread` within which the target has the smallest elements, m, for the widest particle."""
         least = estimates.REFINED_RADIUS_OVER_DIAMETER
         return max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
 
     @property
     def element_size(self) -> float:
-        """Smallest edge of the target's elements, m: the scene's own, or a little more than the spacing."""
+        """Smallest edge of the target's elements, m: from the scene, or a factor times the spacing."""
         return self.scene.resolution.element_size or estimates.ELEMENT_SIZE_OVER_SPACING * self.spacing
 
     def window_of(self, particle: Particle) -> float:
-        """Radius (m) round an impact within which the target is computed: the scene's own; where there are many particles, one by
-        the particle's size; everything where there are few."""
+        """Radius (m) round an impact within which the target is computed: from the scene; otherwise from the size of the particle if
+        there are many particles, and infinite if there are few."""
         if self.scene.substrate.window is not None:
             return self.scene.substrate.window
         if len(self.scene.particles) < estimates.MANY:
@@ -80,23 +79,23 @@ class Derived:
 
     @property
     def elements(self) -> int:
-        """Elements of the target before the first impact, an estimate."""
+        """Estimated number of elements of the target before the first impact."""
         body, growth = self.scene.substrate, self.scene.resolution.growth
         sizes = self.element_size, self.refined_radius, growth, self.spread
         return estimates.elements(body.diameter, body.height, *sizes)
 
     @property
     def splat_element_size(self) -> float:
-        """Edge of the elements of splats, m: the scene's own, or the target's smallest."""
+        """Edge of the elements of splats, m: from the scene, or the smallest edge of the target."""
         return self.scene.splat.element_size or self.element_size
 
     def splat_elements_of(self, particle: Particle) -> int:
-        """Elements of a particle's splat, an estimate."""
+        """Estimated number of elements of the splat of a particle."""
         return estimates.splat_elements(particle.volume, self.splat_element_size)
 
     @cached_property
     def adhesion_law(self) -> Adhesion:
-        """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
+        """The law of adhesion of splats. Raises SceneError if the table [adhesion] is wrong; a checked scene has a law."""
         table = self.scene.adhesion.model_dump()
         table["pairs"] = tuple(PairBond(**pair) for pair in table.pop("pair") or ())
         if table["kind"] is None and table["criterion"] is None:
@@ -106,20 +105,20 @@ class Derived:
         return Adhesion(**table | {"kind": table["kind"] or "tied", "criterion": table["criterion"] or "all"})
 
     def gap_of(self, particle: Particle) -> float:
-        """Distance of a particle's lowest point from what lies under it at the start, m; half a spacing by default."""
+        """Initial distance of a particle's lowest point from the surface under it, m; by default half a spacing."""
         return self.spacing / 2 if particle.gap is None else particle.gap
 
     def output_every_of(self, particle: Particle) -> float:
-        """Simulated time between two written steps of an impact, s: D / v / 25 by default, more in a long sequence; infinite where its
-        end alone is written."""
+        """Simulated time between two written steps of an impact, s: by default D / v / 25, longer in a long sequence. Infinite if only
+        the end is written."""
         if self.scene.output.at == "ends":
             return math.inf
         outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 
     def usual_time_of(self, particle: Particle) -> float:
-        """Time that an impact usually does not exceed, s: the scene's time, else the flight over the gap and the larger of 3 h / v and
-        1.5 h / v_n. h: the particle's height; v_n: component of its velocity v towards the target."""
+        """Usual upper limit of the time of an impact, s: the time of the scene, or the flight over the gap plus the larger of 3 h / v
+        and 1.5 h / v_n. h: height of the particle; v_n: component of its velocity v towards the target."""
         if self.scene.end.time is not None:
             return self.scene.end.time
         towards = particle.velocity * math.cos(particle.angle)
@@ -127,8 +126,8 @@ class Derived:
         return self.gap_of(particle) / towards + particle.height * crossings
 
     def end_time_of(self, particle: Particle) -> float:
-        """The longest an impact may take, s: the scene's time, else the usual one, or the flight and twice the time to stop. Raises
-        SceneError for an unknown material."""
+        """Longest permitted time of an impact, s: the time of the scene, or the larger of `usual_time_of` and the flight plus twice the
+        stopping time. Raises SceneError for an unknown material."""
         usual = self.usual_time_of(particle)
         if self.scene.end.time is not None:
             return usual
@@ -142,7 +141,7 @@ class Derived:
 
     @cached_property
     def _underneath(self) -> list[tuple[str, float]]:
-        """Each material that a particle may meet, and the highest temperature (K) at which: there it is softest."""
+        """The materials that a particle may hit, each with the highest temperature (K) of its bodies, at which it is softest."""
         hottest: dict[str, float] = {}
         bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
         for body in bodies:
@@ -151,39 +150,33 @@ class Derived:
 
     @property
     def spray(self) -> Spray:
-        """The spray of the scene, or usual conditions."""
+        """The spray of the scene, or the default conditions."""
         return self.scene.spray or Spray()
 
     @cached_property
-    def stream(self) -> Stream:
-        """The stream of powder. Raises SceneError for an unknown material."""
-        masses = [self.material(p.material).rho * p.volume for p in self.scene.particles]
-        spray = self.spray
-        mass = sum(masses) / len(masses)
-        return Stream(spray.efficiency * spray.feed_rate, mass, spray.spot, spray.traverse_speed)
-
-    @cached_property
     def time_between(self) -> float:
-        """Mean time (s) between impacts on the disc that the scene's particles fall on, no smaller than a particle. Raises SceneError
-        for an unknown material."""
-        particles, coating = self.scene.particles, self.scene.coating
-        radius = coating.radius if coating else max(math.dist(p.offset, self.centre) for p in particles)
-        return self.stream.time_between(max(radius, 0.5 * max(p.width for p in particles)))
+        """Mean time (s) between impacts on the disc of the scene's particles, which is at least as large as a particle, while the spray
+        spot covers it. Raises SceneError for an unknown material."""
+        particles, coating, spray = self.scene.particles, self.scene.coating, self.spray
+        radius = coating.radius if coating else self.spread
+        mass = sum(self.material(p.material).rho * p.volume for p in particles) / len(particles)
+        flux = spray.efficiency * spray.feed_rate / mass / (0.25 * math.pi * spray.spot**2)  # impacts, 1/(m2 s)
+        return 1.0 / (flux * math.pi * max(radius, 0.5 * max(p.width for p in particles)) ** 2)
 
     def dwell_of(self, particle: Particle) -> float:
-        """Time (s) between a particle's impact and the next: the scene's own, or as the spray has it; 0 after the last."""
+        """Time (s) between the impact of a particle and the next: from the scene or the spray; by default 0 after the last."""
         if particle.dwell is not None:
             return particle.dwell
         return 0.0 if particle is self.scene.particles[-1] else self.time_between
 
     @property
     def ambient(self) -> float | None:
-        """Temperature (K) to which all bodies cool after the last impact; None if they do not cool."""
+        """Temperature (K) to which all bodies cool after the last impact; None: they do not cool."""
         return self.scene.end.ambient if self.scene.end.at == "cold" else None
 
     @property
     def surface_heat(self) -> tuple[float, float] | None:
-        """Heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface; None without heat from it."""
+        """Heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface; None: no heat transfer."""
         h, T, gas = self.spray.heat_transfer, self.spray.gas_temperature, self.scene.gas
         T = gas.temperature if T is None and gas is not None else T
         return (h, T) if h and T is not None else None
@@ -194,7 +187,7 @@ class Derived:
         return materials.from_scene(self.scene.materials, self.scene.strength or "", used)
 
     def material(self, name: str) -> Material:
-        """A material of the library, or the scene's own. Raises SceneError for a name that is neither."""
+        """A material of the scene or of the library. Raises SceneError for an unknown name."""
         catalogue, problems = self._catalogue
         if name not in catalogue:
             raise SceneError([*problems, materials.unknown(name, catalogue)], self.scene.name)

@@ -1,4 +1,4 @@
-"""The table of effects, each with a number and the value below which `auto` leaves it out (measured: docs/evidence/effects.md)."""
+"""The table of effects, each with a number and the threshold below which `auto` switches it off (docs/evidence/effects.md)."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,8 @@ from ..physics.recovery import recovered_share
 from ..scene.effects import NAMES, WHOLE
 from .cost import STRAIN_OF_FLOW
 
-GRADIENTS = "gradient_hardening"  # a choice of the model: unless it is named, only with bonds by exposure, whose verdicts depend on it
+# by default only on with bonds by exposure, whose verdicts depend on it
+GRADIENTS = "gradient_hardening"
 
 
 @dataclass(frozen=True)
@@ -45,43 +46,46 @@ class Situation:
 
     @cached_property
     def warm(self) -> float:
-        """Heating over the distance to the melting point, of the body that it softens more."""
+        """Heating over the difference to the melting point, the larger value of the two bodies."""
         return max(dT / max(m.T_m - T, 1.0) for m, T, dT in self.bodies)
 
     def diffusion(self, body: int, time: float) -> float:
-        """Distance, m, that heat diffuses in a time (s) in the particle (0) or the target (1)."""
+        """Diffusion length of heat, m, in a time (s) in the particle (body 0) or the target (body 1)."""
         return math.sqrt(diffusivity(self.materials[body], self.temperatures[body]) * time)
 
     @cached_property
     def in_target(self) -> float:
+        """Diffusion length in the target over element size."""
         return self.diffusion(1, self.end_time) / self.element_size
 
     @cached_property
     def in_particle(self) -> float:
+        """Diffusion length in the particle over spacing."""
         return self.diffusion(0, self.duration) / self.spacing
 
     def recovered(self, m: Material, T: float, heated: float) -> float:
-        """Share of the dislocations that recover in the pause: at T (K), or as hot as the impact makes it while a splat is that hot."""
+        """Fraction of the dislocations that recover in the pause, the larger of two: at T (K) in all of the pause, or at T + heated
+        during the cooling time of a splat."""
         hot = min(self.dwell, self.diameter**2 / diffusivity(m, T))
         return max(recovered_share(m, T, self.dwell), recovered_share(m, min(T + heated, m.T_m), hot))
 
     def of_both(self, number: Callable[[Material, float, float], float]) -> float:
-        """A number of material, temperature and heating, of the body that calls for the effect more."""
+        """The larger value, of the two bodies, of a function of material, temperature (K) and heating (K)."""
         return max(number(*body) for body in self.bodies)
 
     def flow_stress(self, m: Material, T: float) -> float:
-        """Flow stress at the rate of the impact and T (K), at most that of the strength set, Pa."""
+        """Flow stress at the rate of the impact and at T (K), at most at T_ref, Pa."""
         return m.flow_stress(STRAIN_OF_FLOW, self.velocity / self.diameter, min(T, m.T_ref))
 
     def gradient_stress(self, m: Material) -> float:
-        """Stress that a gradient of plastic strain of ten over the diameter adds, Pa."""
+        """Stress of the dislocations due to a gradient of plastic strain of 10 / diameter, Pa."""
         return stress_of_gradient(m.forest, m.gradient_length, 10.0 / self.diameter)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect. number: name of the number that decides it; value: the number of an impact; threshold: `auto` leaves the effect out
-    if the number is not larger."""
+    """One effect. number: name of the number for the decision; value: the number of an impact; threshold: `auto` switches the effect on
+    if the number is larger."""
 
     name: str
     number: str
@@ -89,8 +93,8 @@ class Effect:
     threshold: float = 0.0
 
 
-# Thresholds above 0 are those of what takes time and may change nothing: no wave is back yet; the pause is too short for heat to leave
-# the splat; of conduction, what changes no measure by more than half a percent; of recovery, half a percent of the hardening.
+# Effects with a cost have a threshold above 0: below it no reflected wave has come back, the pause is too short for heat to leave the
+# splat, conduction changes no measure by more than 0.5 %, or recovery changes the hardening by less than 0.5 %.
 EFFECTS = (
     Effect(
         "thermal_softening", "heating or preheat / (T_m - T)",
@@ -116,7 +120,7 @@ EFFECTS = (
     Effect("friction", "friction coefficient", lambda s: s.friction),
     Effect("friction_heat", "friction x heating / (T_m - T)", lambda s: s.friction * s.warm),
     Effect(
-        "dissipation_heat", "heating / T, 0 if it could melt",  # molten, its heat drives the points without end
+        "dissipation_heat", "heating / T, 0 if it could melt",  # in melt this heat accelerates the points without limit
         lambda s: 0.0 if s.of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0 else s.of_both(lambda _, T, dT: dT / T),
     ),
     Effect("mie_gruneisen", "v / c0", lambda s: s.of_both(lambda m, *_: s.velocity / m.c0)),
@@ -132,7 +136,7 @@ EFFECTS = (
     Effect("conduction", "sqrt(alpha time) / size x warming", lambda s: s.in_target * s.warm, 0.05),
     Effect("particle_conduction", "sqrt(alpha time) / spacing", lambda s: s.in_particle, 0.1),
     Effect(
-        "interface_conduction", "sqrt(alpha time) / size, both",  # what one side cannot take the other cannot give
+        "interface_conduction", "sqrt(alpha time) / size, both",  # the side with less diffusion limits the heat flow
         lambda s: min(s.diffusion(1, s.duration) / s.element_size, s.in_particle), 0.15,
     ),
     Effect("cooling", "sqrt(alpha dwell) / diameter", lambda s: max(s.diffusion(k, s.dwell) for k in (0, 1)) / s.diameter, 0.05),
@@ -142,7 +146,7 @@ EFFECTS = (
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision about one effect. number: name of its value; on: whether the effect takes part; why: the reason."""
+    """The decision about one effect. number: name of its value; on: True if the effect is on; why: the reason."""
 
     name: str
     number: str
@@ -152,9 +156,11 @@ class Decision:
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """The effects that a scene switches on or off; effects that it leaves to `decide` are not included. request: "auto" (the numbers
-    decide), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean these and no other; a list that begins
-    with "auto", "all" or "none" changes that choice: ["auto", "-friction"]; one of signed names only changes "auto"."""
+    """The effects that a scene sets, True if on; `decide` decides on all others. request is the key `effects` of the scene:
+    - "auto": all by their numbers; "none"; "all": all but GRADIENTS, which is as with "auto";
+    - a list of names: only these effects are on;
+    - a list that begins with "auto", "all" or "none" changes this choice: ["auto", "-friction"];
+    - a list of only signed names changes "auto"."""
     if isinstance(request, str):
         items, base = [], request
     else:
@@ -169,8 +175,8 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
 
 
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
-    """The decision about each effect. situations: one for each impact, of each number the largest counts; settled: effects that
-    the scene sets."""
+    """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene sets,
+    True if on."""
     exposed = any(situation.exposed for situation in situations)
 
     def of(effect: Effect) -> Decision:
@@ -188,7 +194,7 @@ def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tupl
 
 
 def heating(material: Material, T: float, velocity: float) -> float:
-    """Rise of temperature, K, if all kinetic energy became plastic work there: beta v^2 / (2 cp)."""
+    """Rise of temperature, K, if all kinetic energy became plastic work: beta v^2 / (2 cp)."""
     return material.taylor_quinney * velocity**2 / (2 * material.cp_at(T))
 
 

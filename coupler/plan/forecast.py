@@ -1,4 +1,4 @@
-"""What a plan is expected to cost: steps, wall time on one core, memory, files; the constants are those of `cost`."""
+"""Expected cost of a plan: steps, wall time on one core, memory, files, with the constants of `cost`."""
 
 import math
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from .model import ImpactPlan, Plan
 
 @dataclass(frozen=True)
 class Forecast:
-    """steps: of the time loop of each impact; shares: of the wall time for each impact, before it and of its own steps; whole: wall
-    time, s; memory, files: bytes; target_load: cost of the target and the contact over that of the particles."""
+    """Expected cost. steps: of each impact; shares: for each impact two fractions of the wall time, before its steps and of its steps;
+    whole: wall time, s; memory, files: bytes; target_load: cost of target and contact over cost of the particles."""
 
     steps: list[int]
     shares: list[tuple[float, float]]
@@ -34,7 +34,7 @@ def forecast(plan: Plan) -> Forecast:
         looped.append(cost.step_time(n, points, computed, engine))
         files += _file_bytes(impact, elements)
         load += n * points * cost.target_load(points, computed, engine)
-        weight += n * points  # as the particle's cost goes
+        weight += n * points  # proportional to the cost of the particle
     ends = list(accumulate(map(sum, zip(looped, between, strict=True)), initial=0.0))
     whole = ends[-1] + cost.SECONDS_PER_RUN
     shares = [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)]
@@ -43,7 +43,8 @@ def forecast(plan: Plan) -> Forecast:
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
-    """Elements that an impact is computed on: within its window, of the splats by its share of the area they lie on."""
+    """Number of computed elements of an impact: of the substrate within its window, and of the splats in proportion to the area of the
+    window. met: elements of all bodies."""
     target, w = plan.target, impact.window
     if math.isinf(w):
         return met
@@ -53,8 +54,8 @@ def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
 
 
 def _between(plan: Plan, met: Sequence[int]) -> list[float]:
-    """Time after each impact, s: conversion of its splat and rest; a pause after the last of each batch; after the last impact that of
-    the closing stage alone."""
+    """Time between impacts after each impact, s: conversion of its splat and rest, and a pause after the last impact of each batch;
+    after the last impact only the closing stage."""
     paused = {batch.stop - 1 for batch in plan.batches if plan.effects.cooling}
     closed, times = plan.ambient is not None, []
     for i, (before, impact) in enumerate(zip(met, plan.impacts, strict=True)):
@@ -69,7 +70,7 @@ def _between(plan: Plan, met: Sequence[int]) -> list[float]:
 
 
 def _file_bytes(impact: ImpactPlan, elements: int) -> float:
-    """Bytes of the fields of an impact: a step now and then, at the greatest deformation and at the end, or at the end alone."""
+    """Bytes of the fields of an impact: of steps at regular times, at the greatest deformation and at the end, or only of the end."""
     every = max(impact.output_every, cost.CHUNK * impact.dt_expected)
     steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
     places = impact.points + cost.VERTICES * impact.points ** (2.0 / 3.0)

@@ -1,7 +1,7 @@
-"""What the [gas] table of a scene does: it gives a particle the velocity and temperature that the scene leaves out."""
+"""The table [gas] of a scene: it gives velocity and temperature to particles that have none in the scene."""
 
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
 from pydantic_core import ErrorDetails
@@ -10,49 +10,56 @@ from .. import units
 from ..errors import ColdsprayError
 from ..physics.materials import Material
 from ..scene.model import MOST_IMPACTS, SceneData, particle_tables
-from ..scene.tables import GasConditions, Particle, read_table
-from ..spray import flight, nozzles
+from ..scene.tables import DIAMETER, GasConditions, Particle, read_table
+from ..spray import nozzles
+from ..spray.flight import DRAG_LAWS, Flight, fly_together
 from ..spray.gas import GASES, Flow
 from ..spray.nozzles import Nozzle
 from .derived import Derived
 
-_STAND_IN = {"velocity": "500 m/s", "temperature": "300 K"}  # while another problem keeps the gas from being computed
-_DIGITS = 4  # the model is good to a few per cent
-_SLOWEST, _FASTEST = 10.0, 2000.0  # m/s: what a scene may say
-_MOST_LINES = 6  # of what the gas gives
+_STAND_IN = {"velocity": "500 m/s", "temperature": "300 K"}  # values if another problem prevents the computation
+_SLOWEST, _FASTEST = 10.0, 2000.0  # limits of the velocity in a scene, m/s
+_MOST_LINES = 6  # about velocities and temperatures from the gas
+_INDENT = " " * 13
+_UNITS = {"velocity": ("m/s", 4), "temperature": ("K", 4)}  # unit and digits; the model is accurate to a few per cent
 
 
 def read(table: object) -> tuple[GasConditions | None, list[tuple[str, str]]]:
-    """Gas conditions from texts with units: (conditions, problems); each problem is a field and what is wrong with it."""
+    """Gas conditions from texts with units: (conditions, problems). A problem is a field and a text; with problems, conditions is
+    None."""
     conditions, entries = read_table(GasConditions, table)
     return conditions, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
 
 
 def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
-    """The flow of a scene's gas. Raises ColdsprayError, beginning with the field at fault, if there is none."""
+    """The flow of a scene's gas. Raises ColdsprayError, beginning with the name of the field, if there is none."""
     c = conditions
     return Flow(GASES[c.kind], nozzle, c.pressure, c.temperature, c.standoff, c.ambient, c.bow_shock)
+
+
+def flights(conditions: GasConditions, flow: Flow, metal: Material, diameters: Sequence[float]) -> list[Flight]:
+    """Flights of spheres of a metal (diameters m) in a flow. Raises ColdsprayError if a flight cannot be computed."""
+    return fly_together(flow, metal, diameters, conditions.powder_temperature, DRAG_LAWS[conditions.drag])
 
 
 @cache
 def _flights(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameters: tuple[float, ...]
-) -> dict[float, flight.Flight]:
-    law = flight.DRAG_LAWS[conditions.drag]
-    flown = flight.fly_together(flow(conditions, nozzle), material, diameters, conditions.powder_temperature, law)
-    return dict(zip(diameters, flown, strict=True))
+) -> dict[float, Flight]:
+    """Flights by diameter, m."""
+    return dict(zip(diameters, flights(conditions, flow(conditions, nozzle), material, diameters), strict=True))
 
 
 def arrival(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float, among: Iterable[float]
 ) -> dict[str, str]:
-    """Velocity and temperature of a sphere (diameter m) at impact, as a scene writes them. among: all diameters (m) of the scene, which
-    are computed together. Raises ColdsprayError, beginning with the field at fault."""
+    """Velocity and temperature of a sphere (diameter m) at impact, as texts of a scene. among: all diameters (m) of the scene, which
+    are computed together. Raises ColdsprayError, beginning with the name of the field."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
         raise ColdsprayError(
-            f"pressure = {units.rounded(conditions.pressure, 'bar')}: brings {units.rounded(diameter, 'um')} of"
+            f"pressure = {units.rounded(conditions.pressure, 'bar')}: accelerates {units.rounded(diameter, 'um')} of"
             f" {material.name} to {flown.velocity:.3g} m/s; a scene needs {limits}"
         )
     arriving = {"velocity": flown.velocity, "temperature": flown.temperature}
@@ -60,9 +67,9 @@ def arrival(
 
 
 def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
-    """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas]. raw: the scene as nested
-    dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the materials. Returns the problems that only the gas
-    has; the scene's own check finds the others."""
+    """Add missing velocities and temperatures to the particles of a scene with a table [gas]. raw: the scene as nested dicts, changed
+    in place; a value that cannot be computed is replaced by a valid one. catalogue: the materials. Returns the problems of nozzles and
+    flow; the check of the scene finds all others."""
     tables = raw["nozzles"]
     assert isinstance(tables, dict)
     known, problems = nozzles.from_tables(tables)
@@ -70,11 +77,11 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
         return problems
     conditions, _ = read(raw["gas"])
     if conditions is not None and conditions.nozzle not in known:
-        if conditions.nozzle not in tables:  # else its own problems are in the list already
+        if conditions.nozzle not in tables:  # otherwise the list has its problems
             problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
         conditions = None
     particles = particle_tables(raw)
-    if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
+    if len(particles) > MOST_IMPACTS:  # the check of the scene refuses it
         conditions = None
     sizes = [_diameter(particle) for particle in particles]
     among = [size for size in sizes if size is not None]
@@ -90,7 +97,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
 
 
 def describe(scene: SceneData) -> list[str]:
-    """Lines about the gas that `check` prints; none without [gas]."""
+    """Lines of `coldspray check` about the gas; none without [gas]."""
     if scene.gas is None:
         return []
     c = scene.gas
@@ -111,7 +118,7 @@ def describe(scene: SceneData) -> list[str]:
 
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
-    """Line about the velocity and temperature that the gas gives one particle, and whether they are used."""
+    """Text about the velocity and temperature of a particle from the gas, and whether they are used."""
     material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
@@ -121,11 +128,8 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
     return f"{which}gives {arriving['velocity']}, {arriving['temperature']}, {used}"
 
 
-_INDENT = " " * 13
-_UNITS = {"velocity": ("m/s", _DIGITS), "temperature": ("K", _DIGITS)}
-
-
 def _in_words(entry: ErrorDetails) -> str:
+    """A message of pydantic about an option of the command line."""
     if entry["type"] == "missing":
         return "is missing"
     if entry["type"] == "literal_error":
@@ -133,14 +137,9 @@ def _in_words(entry: ErrorDetails) -> str:
     return str(entry["ctx"]["error"]) if entry["type"] == "value_error" else entry["msg"]
 
 
-def diameter(text: object) -> float:
-    """A particle's diameter, m, from a text with a unit. Raises ValueError with what is wrong with it."""
-    return Particle.model_fields["diameter"].metadata[0].read(text)
-
-
 def _diameter(particle: Mapping[str, object]) -> float | None:
-    """The particle's diameter, m, if the scene's own check will accept it."""
+    """The diameter of a particle, m; None if it is not valid."""
     try:
-        return diameter(particle.get("diameter"))
+        return DIAMETER.read(particle.get("diameter"))
     except ValueError:
         return None

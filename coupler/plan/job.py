@@ -1,22 +1,21 @@
-"""What a job computes: the scenes of its impacts and coatings, and how many of which resolution, from the time that it is given."""
+"""The computations of a job: scenes of its impacts and coatings, and their number and resolution for the given time."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import parse_toml, read_text
+from ..files.inputs import read_toml
 from ..physics import materials
 from ..physics.materials import Material
 from ..scene.job import JobData
 from ..scene.messages import in_words
 from ..scene.tables import read_table
 from ..spray import nozzles
-from ..spray.flight import DRAG_LAWS, Flight, fly_together
 from ..spray.gas import Flow
 from ..spray.sizes import Sizes
 from ..spray.window import Spray, spray
@@ -29,19 +28,19 @@ from .powder import sizes_of
 from .reading import Scene
 
 ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
-BRACKET = 3  # velocities that a search computes before it halves; the first ratio of its bracket is ...
-RATIO = 0.22  # ... this share of its middle
-START = 4.0  # processor time, s, of the start of a run and of its pictures
-PARALLEL = 0.8  # of the processor time over the cores: what several threads and runs of unequal length reach
-WITHIN = 0.4, 1.4  # of the velocity of the median particle: where a critical velocity is sought
+BRACKET = 3  # velocities that a search computes before the first bisection
+RATIO = 0.22  # width of the bracket over its middle before the first bisection
+START = 4.0  # processor time of the start of a run and of its pictures, s
+PARALLEL = 0.8  # efficiency of several threads and of runs of unequal length
+WITHIN = 0.4, 1.4  # range of the search for a critical velocity over the velocity of the median particle
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How much a job computes. bonds: points of the impacts whose bonds are computed, 0: none; placements at each velocity; tolerance:
-    width of a bracket over its middle; coarser: points of the searches that measure the error of the resolution, 0: none; sets: points
-    of the searches with the other strength sets of the powder, 0: none; points of the largest particle of a coating; disc: radius, in
-    median diameters, that its centres fall on; layers; seeds: coatings of other particles."""
+    """Extent of the computations of a job. The searches for critical velocities have numbers of points, 0 for no search: bonds: of the
+    main search; coarser: of the search that measures the error of the resolution; sets: of the searches with the other strength sets of
+    the powder. placements: impacts at each velocity; tolerance: width of the bracket over its middle. Coatings: points: of the largest
+    particle; disc: radius of the disc of the centres, in median diameters; layers; seeds: number of coatings."""
 
     bonds: int
     placements: int
@@ -55,7 +54,7 @@ class Choice:
 
     @property
     def words(self) -> str:
-        """The choice as a sentence."""
+        """The choice as text."""
         bonds = f"bonds with {self.bonds} points, {self.placements} at each velocity, to {self.tolerance:.0%}"
         texts = [bonds if self.bonds else "no bonds"] + ["their error of the resolution"] * (self.coarser > 0)
         texts += ["the other strength sets"] * (self.sets > 0)
@@ -63,7 +62,7 @@ class Choice:
 
     @property
     def number(self) -> int:
-        """Particles of a coating: about seven in a layer to the square of a diameter of the disc's radius."""
+        """Number of particles of a coating: in each layer 7.4 times the square of the radius `disc`."""
         return self.layers * round(7.4 * self.disc**2)
 
 
@@ -81,8 +80,7 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Job:
-    """A job as it is read. name; raw: its tables, as the file has them; data: the same in SI units; sizes: of the powder; metals: by
-    name; nozzle: of the gas."""
+    """A job. raw: the tables of its file; data: the same in SI units; sizes: of the powder; metals: by name; nozzle: of the gas."""
 
     name: str
     raw: dict[str, Any]
@@ -112,16 +110,12 @@ class Job:
     @cached_property
     def arrived(self) -> Spray:
         """The powder at the target, with the formula for its metal and the substrate."""
-        gas = self.data.gas
-
-        def fly(diameters: Any) -> list[Flight]:
-            return fly_together(self.flow, self.metal, diameters, gas.powder_temperature, DRAG_LAWS[gas.drag])
-
+        fly = partial(scene_gas.flights, self.data.gas, self.flow, self.metal)
         return spray(self.metal, self.base, self.sizes, fly)
 
     def on(self, base: str, points: int, strength: str = "") -> Scene:
-        """The scene of a particle of median size, as it arrives, with computed bonds, on a metal of the job. strength: a set of the
-        powder in place of its own."""
+        """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, on
+        the metal `base` of the job. points: of the particle; strength: a strength set of the powder, by default its own."""
         k = len(self.arrived.share) // 2
         D = float(self.arrived.diameter[k])
         tables = self._materials(self.data.powder.material, base)
@@ -137,7 +131,8 @@ class Job:
         }, f"{self.name}_on_{base}")  # fmt: skip
 
     def coating(self, choice: Choice, seed: int) -> Scene:
-        """The scene of a coating of the particles that stick by the formula, or of all where none does; all that hit are tied."""
+        """The scene of a coating of the particles that stick by the formula, or of all particles if none sticks. All particles of the
+        scene are tied to the surface."""
         smallest, median, largest = self.middle(choice.points)
         radius, spread = choice.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
         metal = self.data.powder.material
@@ -156,8 +151,8 @@ class Job:
         }, f"{self.name}_coating")  # fmt: skip
 
     def middle(self, points: int) -> tuple[float, float, float]:
-        """Smallest, median and largest diameter (m) of the particles of a coating: as wide a range about the middle of the mass that
-        sticks by the formula as its smallest particle has ROOM for points."""
+        """Smallest, median and largest diameter (m) of the particles of a coating. The median is from the mass that sticks by the
+        formula. The range is the widest one in which the smallest particle has ROOM points if the largest has `points`."""
         ratio = self.arrived.ratio
         stick = self.arrived.share[(ratio >= 1.0) & (ratio < 2.0)]
         median = self.sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
@@ -166,7 +161,7 @@ class Job:
 
     @property
     def bases(self) -> tuple[str, ...]:
-        """The metals that the powder hits: the substrate, then the coating."""
+        """Names of the metals that the powder hits: the substrate, then the coating."""
         return tuple(dict.fromkeys((self.data.substrate.material, self.data.powder.material)))
 
     def _base(self, material: str, diameter: float, height: float) -> dict[str, object]:
@@ -175,12 +170,12 @@ class Job:
 
     @property
     def other_sets(self) -> list[str]:
-        """The strength sets of the powder beside its own."""
+        """The strength sets of the powder other than its own."""
         name = self.data.powder.material
         return sets_of(self.raw["materials"].get(name, {}), name)[1:]
 
     def _materials(self, *names: str) -> dict[str, dict[str, Any]]:
-        """The tables of some metals. One whose table names no strength has the first of `sets_of`."""
+        """The tables of metals, by name. A table without a strength has the first set of `sets_of`."""
         tables = {name: dict(self.raw["materials"].get(name, {})) for name in names}
         for name, table in tables.items():
             if sets := sets_of(table, name):
@@ -189,8 +184,8 @@ class Job:
 
 
 def sets_of(table: Mapping[str, object], name: str) -> list[str]:
-    """The strength sets of a metal, that whose fit is known to reach the highest strain rate first; a fit without a limit counts from
-    the rate at which it begins. None of a metal whose table names its strength, or that the library does not have."""
+    """The strength sets of a metal, the one with the highest strain rate of its fit first. For a fit without an upper limit its lowest
+    rate counts. Empty for a metal whose table names its strength, and for a metal that is not in the library."""
     try:
         known = [] if {"strength", "law"} & table.keys() else materials.entry(str(table.get("base", name))).materials
     except ColdsprayError:
@@ -208,27 +203,19 @@ def _um(length: float) -> str:
 
 
 def read(path: Path) -> Job:
-    """Read the file of a job. Raises SceneError with every problem of it."""
-    text = read_text(path)
-    try:
-        raw = parse_toml(text)
-    except ValueError as error:
-        raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
+    """Read the file of a job. Raises InputError if it is not a TOML file, SceneError with all problems of its tables."""
+    raw = read_toml(path)
     problems = with_library(raw, str(path))
     metals, found = materials.from_scene(raw["materials"])
     known, of_nozzles = nozzles.from_tables(raw["nozzles"])
     problems += found + of_nozzles
     data, entries = read_table(JobData, raw)
     problems += [in_words(entry, False, JobData) for entry in entries]
-    for field, message in (
-        ("powder.material", lambda name: name not in metals and materials.unknown(name, metals)),
-        ("substrate.material", lambda name: name not in metals and materials.unknown(name, metals)),
-        ("gas.nozzle", lambda name: name not in known and nozzles.unknown(name, known)),
-    ):
-        table, key = field.split(".")
+    for table, key in (("powder", "material"), ("substrate", "material"), ("gas", "nozzle")):
         name = raw[table].get(key) if isinstance(raw.get(table), dict) else None
-        if isinstance(name, str) and (said := message(name[:40])):
-            problems.append(f'{field} = "{name[:40]}": {said}')
+        if isinstance(name, str) and name not in (known if key == "nozzle" else metals):
+            text = nozzles.unknown(name[:40], known) if key == "nozzle" else materials.unknown(name[:40], metals)
+            problems.append(f'{table}.{key} = "{name[:40]}": {text}')
     sizes = None
     if data is not None:
         try:
@@ -241,7 +228,7 @@ def read(path: Path) -> Job:
 
 
 def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: int) -> float:
-    """Wall time of a choice, s. takes(scene): processor time of one run, s."""
+    """Wall time of a choice on a number of cores, s. takes(scene): processor time of a run, s."""
     halvings = math.ceil(math.log2(RATIO / choice.tolerance))
     each, total = choice.placements * (BRACKET + halvings), choice.seeds * (takes(job.coating(choice, 1)) + START)
     rough = BRACKET + 1
@@ -254,8 +241,8 @@ def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: in
 
 
 def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choice, float, tuple[Choice, float] | None]:
-    """The greatest of CHOICES that takes no longer than the job has, its time (s), and the next one with its time, None after the last.
-    takes: as of `seconds`. Raises SceneError where the least takes longer."""
+    """The largest of CHOICES within the time of the job, its wall time (s), and the next choice with its time (None after the last).
+    takes, cores: as in `seconds`. Raises SceneError if the smallest choice takes longer."""
     best: tuple[Choice, float] | None = None
     for choice in CHOICES:
         time = seconds(job, choice, takes, cores)
@@ -273,5 +260,5 @@ def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choic
 
 
 def processor_time(factor: float) -> Callable[[Scene], float]:
-    """The expected processor time of a scene on a machine. factor: of its pace."""
+    """A function of a scene: its expected processor time, s. factor: processor time on this machine over the time of the cost model."""
     return lambda scene: factor * forecast(plan(scene)).whole

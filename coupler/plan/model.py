@@ -1,4 +1,4 @@
-"""The plan of a run as a record: each impact, the target, and what holds for all."""
+"""The plan of a run as a record: impacts, target, and common decisions."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,14 +14,14 @@ from .effects import Decision
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactPlan(Landing):
-    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset (x, y) m, of its
-    centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about that many. Times in s: end_time,
-    the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain rate's smoothing; dwell, the time until the
-    next. end_at: "rest", "greatest" (deformation) or "time"; the first two at end_time at the latest. window: radius (m) round it
-    beyond which the target rests, inf where all is computed. formula: critical velocities of its metal and of the metal that it hits,
-    of a splat or the substrate. lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that
-    is no file's. splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the
-    powder, from its hardness."""
+    """One impact. diameter m: of the sphere of equal volume; lengths m: of the shape at tilt 0; tilt rad: about y; file: key of the
+    surface in `Plan.solids`, "" for other shapes. velocity (vx, vy, vz) m/s; offset (x, y) m: of the centre at the start; gap m:
+    initial distance of the lowest point from the surface under it. spacing m; points: approximate number. initial_strain: plastic
+    strain of the powder, from its hardness. window m: radius within which the target is computed, inf for all of it. Times in s:
+    end_time: limit of the impact; expected: expected duration; dt_expected: mean step; rate_filter: time constant of the strain rate's
+    average; output_every: between written steps; dwell: until the next impact. end_at: "rest", "greatest" (deformation) or "time".
+    formula: critical velocities of the metals of the particle and of the body that it hits. splat_elements: estimate, 0 if a rebound is
+    expected."""
 
     material: Material
     shape: str
@@ -50,16 +50,16 @@ class ImpactPlan(Landing):
 
     @property
     def velocity_ratio(self) -> float | None:
-        """`towards` over the critical velocity of its own metal; None where that has none, infinite at its melting point."""
+        """`towards` over the critical velocity of the particle's metal. None: not known; infinite at the melting point."""
         critical = self.formula.critical
         return None if critical is None else self.towards / critical if critical else math.inf
 
 
 @dataclass(frozen=True)
 class TargetPlan:
-    """A cylinder. Lengths m, temperature K; element_size within refined_radius of the disc of radius `spread` about `centre` (x, y),
-    then growing by `growth` per unit of distance to largest_element. sides, bottom: "absorbing" only if that effect is on. roughness:
-    Sa m, correlation length m and seed of the top, None where it is flat."""
+    """The substrate, a cylinder. Lengths m, temperature K. Elements have element_size within refined_radius of the disc of radius
+    `spread` about `centre` (x, y), and grow by `growth` per unit of distance up to largest_element. sides, bottom: conditions of the
+    faces. roughness: Sa m, correlation length m and seed of the top face, None: smooth."""
 
     material: Material
     diameter: float
@@ -83,7 +83,7 @@ class TargetPlan:
 
 @dataclass(frozen=True)
 class SolidPlan:
-    """The surface of a shape from a file, as `geometry.solid.Solid` has it."""
+    """The surface of a shape from a file, with the data of `geometry.solid.Solid`."""
 
     points: list[list[float]]
     triangles: list[list[int]]
@@ -91,14 +91,14 @@ class SolidPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """All decisions about a run; written to plan.json. Times in s, lengths in m.
+    """All decisions about a run, the content of plan.json. Times in s, lengths in m.
 
-    impacts: one after another; batches: which of them are computed side by side. contact_stiffness: factor on the penalty stiffness.
-    gas: lines about what the gas gives. engine: of the particles (`coupler.particle.engine`). solids: shapes from files, by the name of
-    the file. ambient: temperature (K) to which all cools after the last impact in cooling_time (s), None where it does not;
-    surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the
-    time between impacts, "" for one. decisions: about each effect. companions: points of the coarser runs that measure the error, none
-    where it is not measured. skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
+    impacts: in their order; batches: groups of impacts that are computed in parallel. contact_stiffness: factor on the penalty
+    stiffness. engine: of the particles (`coupler.particle.engine`). decisions: about each effect. solids: shapes from files, by name of
+    the file. ambient: temperature (K) to which all bodies cool after the last impact in cooling_time (s), None: they do not cool.
+    surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts. gas, spray: texts
+    about the gas and about the time between impacts. companions: points of the coarser runs that measure the error, empty if it is not
+    measured. skipped: the reasons of failed impacts of the scene, which are not in `impacts`.
     """
 
     name: str
@@ -126,15 +126,15 @@ class Plan:
     skipped: tuple[str, ...] = ()
 
     def is_on_coating(self, i: int) -> bool:
-        """Whether impact i is one of many, each computed on its own cut of the coating."""
+        """Whether impact i is on a coating, with its own sub-domain."""
         return i > 0 and math.isfinite(self.impacts[i].window)
 
     def batch_from(self, first: int) -> Batch | None:
-        """The batch of an impact without the impacts before this one; None after the last impact."""
+        """The batch of impact `first`, without its earlier impacts; None after the last impact."""
         return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
 
     def without(self, i: int, why: str) -> "Plan":
-        """The plan less impact i, which is skipped."""
+        """The plan without impact i, which is skipped. why: the reason."""
         impacts = (*self.impacts[:i], *self.impacts[i + 1 :])
         left = batches_of(impacts, self.effects.cooling)
         return replace(self, impacts=impacts, batches=left, skipped=(*self.skipped, why))

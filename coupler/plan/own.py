@@ -1,4 +1,4 @@
-"""Metals and nozzles of the user's own: tables of a scene, and of the file that its key `library` names."""
+"""Metals and nozzles of the user: tables of a scene, and tables of the file in its key `library`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,10 +10,9 @@ KINDS = ("materials", "nozzles")
 
 
 def with_library(raw: dict[str, object], source: str) -> list[str]:
-    """Replace the key `library` by the tables [materials.NAME] and [nozzles.NAME] of its file; those of the scene come first.
-
-    raw: a scene as nested dicts, changed in place; source: its file, to whose folder the library's name is relative. Returns the
-    problems.
+    """Replace the key `library` by the tables [materials.NAME] and [nozzles.NAME] of its file. A table of the scene replaces a table of
+    the same name. raw: a scene as nested dicts, changed in place; source: its file, whose folder is the base of relative names. Returns
+    the problems.
     """
     name, problems = raw.pop("library", None), []
     given: list[Mapping[str, object]] = [raw]

@@ -1,4 +1,4 @@
-"""The plan of a run: everything decided, nothing computed, no solver imported."""
+"""The plan of a run: all decisions, before any computation; no solver is imported."""
 
 import math
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ from .refinement import companions
 from .remarks import absorbing_distance, remarks
 from .solids import load
 
-RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
-# factors on the contact's penalty stiffness, the second where bonds decide: its springs give back half of the rebound, or a sixth
+RATE_FILTER_OVER_CROSSING = 0.01  # time constant of the strain rate's average over D / v
+# factors on the penalty stiffness of the contact; the second with bonds: the springs then return a sixth of the rebound, not half
 CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 
 
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
-    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do); error:
-    whether it is measured. Raises SceneError if the scene names an unknown material."""
+    """The plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: by the adhesion; error: whether coarser
+    runs measure the error. Raises SceneError for an unknown material."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.material)
@@ -66,9 +66,9 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
 
 
 def _settled(scene: Scene) -> dict[str, bool]:
-    """The effects that are on or off for what the scene says, or for what it computes."""
+    """The effects that the scene sets, True if on: by its key `effects`, or because its results need them."""
     settled = effects.requested(scene.effects)
-    if scene.derived.ambient is not None:  # residual stresses come from these
+    if scene.derived.ambient is not None:  # they cause residual stresses
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
     if any(p.dwell is None for p in scene.particles[:-1]):
         settled = {"cooling": True} | settled
@@ -76,7 +76,8 @@ def _settled(scene: Scene) -> dict[str, bool]:
 
 
 def _stays(scene: Scene, particle: Particle) -> bool:
-    """Whether a particle is expected to become a splat: not where its velocity decides and is below the critical one of its metal."""
+    """Whether a particle is expected to become a splat: always, unless the criterion is the velocity and the formula gives a
+    rebound."""
     law, metal = scene.derived.adhesion_law, scene.derived.material(particle.material)
     if law.kind == "none" or law.criterion != "velocity":
         return True
@@ -86,7 +87,8 @@ def _stays(scene: Scene, particle: Particle) -> bool:
 
 
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
-    """The body that impact i hits, the last splat under its centre or the substrate: material, temperature (K), whether a splat."""
+    """The body that impact i hits, the last splat under its centre or the substrate: material, temperature (K), whether it is a
+    splat."""
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
@@ -104,7 +106,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
     load = estimates.loads((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
-    height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
+    height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest earlier, but not in proportion to their height
     d, angle, engine = scene.derived, particle.angle, scene.resolution.engine
     dt = estimates.time_step(d.spacing, material.wave_speed, load, points, angle, engine, tall)
     return ImpactPlan(
@@ -135,20 +137,21 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
 
 
 def _spray(scene: Scene) -> str:
-    """The time between impacts, and what it follows from."""
+    """Text about the time between impacts; "" for one impact."""
     d, spray, show = scene.derived, scene.derived.spray, units.rounded
     if len(scene.particles) == 1:
         return ""
     share = f", {spray.efficiency:.0%} of it" if spray.efficiency < 1.0 else ""
     whence = "" if scene.spray else "usual conditions: "
     stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
-    impacts = d.stream.time_of_pass / d.time_between
+    time_of_pass = 0.25 * math.pi * spray.spot / spray.traverse_speed  # mean over the chords of the spot
+    impacts = time_of_pass / d.time_between
     return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts a pass)"
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
     d, body, absorbing = scene.derived, scene.substrate, decided.absorbing_boundaries
-    # where no wave comes back in time a plain face gives the same answer for less
+    # if no wave comes back in time, a simple face gives the same result at lower cost
     sides = body.sides if absorbing or body.sides != "absorbing" else "free"
     bottom = body.bottom if absorbing or body.bottom != "absorbing" else "fixed"
     return TargetPlan(
@@ -159,7 +162,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
 
 
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
-    """Input data for the choice of effects, for each impact; its waves and heat travel on during later impacts."""
+    """Input data for the choice of effects, by impact. Waves and heat of an impact also travel during later impacts."""
     usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
     situations, left = [], sum(usual)
     for impact, duration in zip(impacts, usual, strict=True):

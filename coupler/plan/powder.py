@@ -1,4 +1,4 @@
-"""The sizes of a powder, from what a scene or job says or from the file of a sizer."""
+"""The sizes of a powder, from a scene or job, or from the file of a sizer."""
 
 from pathlib import Path
 
@@ -15,8 +15,8 @@ _CUMULATIVE = ("under", "cum", "passing", "undersize")
 
 
 def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
-    """The sizes of a powder, given as a scene has them. folder: to which the name of a file is relative. Raises ValueError with what is
-    wrong with the file."""
+    """The sizes of a powder, from the value of a scene. folder: base of the name of a file. Raises ValueError with the problem of the
+    file."""
     if isinstance(sizes, str):
         path = folder / Path(sizes).expanduser()
         try:
@@ -27,37 +27,36 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
 
 
 def sizes_in(table: Table) -> Sizes:
-    """The sizes that a sizer has measured. A row has the lower diameter of a class and its share of the volume, which is that of the
-    mass for one metal; or the share below the diameter, where the name of the column says so or it rises to 100. Diameters are in µm
-    unless their column names another unit. Raises ValueError."""
-    size, share = _column(table, _SIZE, ""), _column(table, _CUMULATIVE, "") or _column(table, _SHARE, "")
+    """The sizes in the table of a sizer. A row has the lower diameter of a class and its volume fraction, which is also its mass
+    fraction. If the name of the column says so, or the column rises to 100, the fractions are cumulative. Diameters are in µm, or in
+    the unit of their column. Raises ValueError with the problem of the table."""
+    size, share = _column(table, _SIZE), _column(table, _CUMULATIVE) or _column(table, _SHARE)
+
     names = list(table.columns)
     size = size or names[0]
     share = share if share and share != size else next((name for name in names if name != size), "")
     if not share:
-        raise ValueError("it needs a column of sizes and a column of shares of the volume")
+        raise ValueError("it needs a column of sizes and a column of volume fractions")
     if "number" in share.lower() and "vol" not in share.lower():
-        raise ValueError(f"column {share!r} counts particles: export shares of the volume")
+        raise ValueError(f"column {share!r} has numbers of particles: export volume fractions")
     unit = table.units.get(size, "um").replace("µ", "u").replace("μ", "u")
     try:
         scale = units.parse(f"1 {unit}", "length")
     except units.UnitError as error:
         raise ValueError(f"column {size!r} {error}") from None
     D, y = scale * table.columns[size], table.columns[share]
-    if (
-        (order := np.argsort(D)).size < 2
-        or not np.all(np.diff(D[order]) > 0.0)
-        or D.min() < 0.0
-        or not np.all(y >= 0.0)
-    ):
-        raise ValueError(f"columns {size!r} and {share!r} need ascending sizes and shares of zero or more")
+    order = np.argsort(D)
     D, y = D[order], y[order]
+    if len(D) < 2 or not (np.diff(D) > 0.0).all() or D[0] < 0.0 or not (y >= 0.0).all():
+        raise ValueError(
+            f"columns {size!r} and {share!r} need two or more different sizes, and fractions of zero or more"
+        )
     rises = bool(np.all(np.diff(y) >= 0.0)) and 99.0 <= y[-1] <= 101.0
     if rises or any(word in share.lower() for word in _CUMULATIVE):
         return Sizes.of_classes([0.0, *D.tolist()], [float(y[0]), *np.diff(y).tolist()])
     return Sizes.of_classes([*D.tolist(), float(D[-1] ** 2 / D[-2])], y.tolist())
 
 
-def _column(table: Table, words: tuple[str, ...], otherwise: str) -> str:
-    """The first column whose name has one of some words."""
-    return next((name for name in table.columns if any(word in name.lower() for word in words)), otherwise)
+def _column(table: Table, words: tuple[str, ...]) -> str:
+    """The first column whose name contains one of the words, "" if there is none."""
+    return next((name for name in table.columns if any(word in name.lower() for word in words)), "")

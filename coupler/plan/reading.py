@@ -1,4 +1,6 @@
-"""Reading a scene as a whole: coating and gas give what they give, and every problem is reported at once."""
+"""Reading and checking of a scene, with the particles of its coating and the velocities from its gas. All problems are reported at
+once.
+"""
 
 import copy
 import math
@@ -24,12 +26,12 @@ from .gas import fill
 from .own import KINDS, named, with_library
 from .solids import read_forms, with_folders
 
-MOST_ALIKE = 3  # problems of particles that differ in their numbers only
+MOST_ALIKE = 3  # reported problems of particles that differ only in numbers
 _OF_PARTICLE, _NUMBERS = re.compile(r"particle\[\d+\]"), re.compile(r"[-+]?\d[\d.e+-]*")
 
 
 class Scene(SceneData):
-    """A complete scene, checked as a whole when made by `Scene.load`, `from_text` or `from_dict`."""
+    """A complete scene. `Scene.load`, `from_text` and `from_dict` check it."""
 
     @cached_property
     def derived(self) -> Derived:
@@ -38,7 +40,7 @@ class Scene(SceneData):
 
     @cached_property
     def text(self) -> str:
-        """The text that it was read from, "" where there is none."""
+        """The TOML text of the scene, "" for a scene from dicts."""
         return ""
 
     @cached_property
@@ -63,7 +65,8 @@ class Scene(SceneData):
 
     @classmethod
     def load(cls, path: str | Path, settings: Settings = ()) -> "Scene":
-        """Read a scene file. Raises SceneError with every problem of it. settings: keys in place of the file's, as `--set` has them."""
+        """Read a scene file. settings: keys and values as in `--set`, which replace those of the file. Raises SceneError with all
+        problems."""
         try:
             text = read_text(path, SCENE_LIMIT)
         except InputError as error:
@@ -72,11 +75,11 @@ class Scene(SceneData):
 
     @classmethod
     def from_text(cls, text: str, source: str = "scene", settings: Settings = ()) -> "Scene":
-        """Read a scene from TOML. Raises SceneError with every problem of it. source: what to call it in messages; its stem is the
-        scene's name unless the scene has one. settings: as for `load`."""
+        """Read a scene from TOML. source: its name in messages, whose stem is the default of the key `name`; settings: as in `load`.
+        Raises SceneError with all problems."""
         try:
             data = parse_toml(text)
-        except ValueError as error:  # also a number of thousands of digits
+        except ValueError as error:  # also for a number of thousands of digits
             raise SceneError([f"is not valid TOML: {error}{line_of(text, str(error))}"], source) from None
         if settings:
             try:
@@ -85,12 +88,12 @@ class Scene(SceneData):
             except ValueError as error:
                 raise SceneError([str(error)], source) from None
         scene = cls.from_dict(data, source)
-        vars(scene)["text"] = text  # beside the fields, as cached properties are: equal scenes may have other comments
+        vars(scene)["text"] = text  # a cached property, no field: equal scenes may have different comments
         return scene
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
-        """Check a scene given as nested dicts, as TOML has them. Raises SceneError with every problem."""
+        """Check a scene of nested dicts, as from TOML. Raises SceneError with all problems."""
         if "scene" in data and not {"particle", "coating"} & data.keys() and {"points", "ensemble"} & data.keys():
             raise SceneError([f"is the file of a sweep: run coldspray sweep {source}"], source)
         scene = _checked(data, source)
@@ -98,12 +101,12 @@ class Scene(SceneData):
         return scene
 
     def to_toml(self) -> str:
-        """The scene with its defaults written out, and with the comments of its file. Reading it gives an equal scene."""
+        """The scene as TOML with its default values and the comments of its file. Reading this text gives an equal scene."""
         full = to_toml(self, lambda head, table: defaults(self, head, table))
         try:
             text = completed(self.text, full) if self.text else full
             return text if Scene.from_text(text, self.name) == self else full
-        except (TOMLKitError, SceneError, ValueError):  # a way to write TOML that cannot be added to
+        except (TOMLKitError, SceneError, ValueError):  # a form of TOML to which keys cannot be added
             return full
 
 
@@ -122,7 +125,7 @@ def _merged(old: object, new: object) -> object:
 
 
 def _checked(data: Mapping[str, object], source: str) -> Scene:
-    """A scene from nested dicts, or a SceneError with all its problems. source: what messages call it."""
+    """A scene from nested dicts. source: its name in messages. Raises SceneError with all problems."""
     raw = copy.deepcopy(dict(data))
     own = {name for kind in KINDS if isinstance(tables := raw.get(kind), dict) for name in tables}
     problems = with_library(raw, source)
@@ -150,18 +153,18 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
                 problems.append(problem)
     if problems or read is None:
         raise SceneError(_brief(problems), source)
-    own |= named(read)  # what the scene does not use of its library is not part of it
+    own |= named(read)  # the scene does not include unused tables of its library
     read = read.model_copy(
         update={kind: {name: table for name, table in dict(read)[kind].items() if name in own} for kind in KINDS}
     )
-    if drawn:  # in an order in which many can be computed side by side
+    if drawn:  # in an order with large batches
         places = [Landing(p.offset, Derived(read).window_of(p), p.diameter) for p in read.particles]
         return read.model_copy(update={"particles": [read.particles[i] for i in side_by_side(places)]})
     return read
 
 
 def _brief(problems: list[str]) -> list[str]:
-    """The problems, of those that many particles share only the first ones."""
+    """The problems; only the first of those that differ only in particle and numbers."""
     kinds = [_NUMBERS.sub("#", problem) if _OF_PARTICLE.match(problem) else problem for problem in problems]
     told = [p for i, p in enumerate(problems) if kinds[:i].count(kinds[i]) < MOST_ALIKE or not _OF_PARTICLE.match(p)]
     left = len(problems) - len(told)
@@ -169,8 +172,8 @@ def _brief(problems: list[str]) -> list[str]:
 
 
 def _set_defaults(raw: dict[str, object]) -> None:
-    """Set what a scene, as nested dicts, does not say and other keys decide: a coating lies on a half-space, several
-    particles end cold, and bonds by exposure have the spacing at which their verdicts hold."""
+    """Set default values that depend on other keys of a scene of nested dicts: a coating is on a half-space, several particles end
+    cold, and bonds by exposure have the spacing at which their verdicts are valid."""
     if "coating" in raw and isinstance(substrate := raw.get("substrate"), dict):
         raw["substrate"] = {"sides": "half_space", "bottom": "half_space"} | substrate
     end, particles = raw.get("end", {}), raw.get("particle")
@@ -181,14 +184,14 @@ def _set_defaults(raw: dict[str, object]) -> None:
 
 
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
-    """The strength set or law that a scene asks for, and the names of the metals that it uses, of the scene as nested dicts."""
+    """The key `strength` of a scene of nested dicts, and the names of its metals."""
     strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), *coating_tables(raw)]
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 
 
 def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
-    """Default values of the fields that a table leaves out, each with its origin."""
+    """Values of the fields that a table does not have, by name, each with its origin. head: heading of the table."""
     d = Derived(scene)
     if isinstance(table, Particle):
         several = {"dwell": f"{text_of(d.time_between, 'us')}  (from: spray)"} if len(scene.particles) > 1 else {}

@@ -1,4 +1,4 @@
-"""The plan as JSON and back: plan.json in a run's folder. Numbers that JSON does not have are written as text, "Infinity"."""
+"""The file plan.json of a run: the plan as JSON. Numbers that JSON does not have are texts, such as "Infinity"."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ def plan_text(plan: Plan) -> str:
 
 
 def read_plan(folder: Path) -> Plan:
-    """The plan that a run was started with. Raises StoreError: there is none, it is damaged, or of another format."""
+    """The plan of a run, from its folder. Raises StoreError if it is missing, damaged, or of another format."""
     path = folder / FILE
     if not path.exists():
         raise StoreError(

@@ -1,4 +1,4 @@
-"""The same scene at fewer points, and the error that follows from it: what a run computes beside itself to say how far off it is."""
+"""Error of the resolution: the scene with fewer points, and the error of its measures from runs at several spacings."""
 
 import math
 import tomllib
@@ -10,39 +10,38 @@ from ..errors import ColdsprayError
 from . import cost
 from .reading import Scene
 
-# Points of a run over those of its coarsest companion; the one between has their geometric mean. Spacings differ by 16^(1/6) = 1.6,
-# more than the 1.3 that Celik et al. (2008), J. Fluids Eng. 130, 078001, ask for; both together cost a fifth of the steps.
+# Points of a run over points of its coarsest companion; the middle one has the geometric mean. Spacings differ by 16^(1/6) = 1.6, more
+# than the factor 1.3 of Celik et al. (2008), J. Fluids Eng. 130, 078001. Both companions have a fifth of the cost of the run's steps.
 REDUCTION = 16
-COARSEST = 250  # points: fewer, and a sphere is six spacings wide
-LEAST_REDUCTION = 1.5  # of points, between two resolutions that are compared
-# Eca & Hoekstra (2014), J. Comput. Phys. 262, 104; they take the second also where the observed order lies outside ORDERS: that doubles
-# the errors here (docs/evidence/accuracy.md)
+COARSEST = 250  # points: with fewer points a sphere is less than six spacings wide
+LEAST_REDUCTION = 1.5  # ratio of the points of two compared resolutions
+# Eca & Hoekstra (2014), J. Comput. Phys. 262, 104. They use the second factor also if the observed order is outside ORDERS, which
+# doubles the errors here (docs/evidence/accuracy.md).
 SAFETY, SAFETY_UNCERTAIN = 1.25, 3.0
-# Orders that an error is extrapolated with where the values have one of them; else one of FIXED_ORDERS, the first that of the
-# particle's viscosity and of the contact's penalty
-ORDERS = np.linspace(0.5, 2.0, 61)
-FIXED_ORDERS = FORMAL_ORDER, _ = 1.0, 2.0
-# Median over the scenes of docs/tables/errors.csv of the error over the value (of temperatures: over their rise), at FORECAST_AT points
+ORDERS = np.linspace(0.5, 2.0, 61)  # orders of an extrapolation
+FORMAL_ORDER = 1.0  # of the particle's viscosity and of the contact's penalty
+FIXED_ORDERS = FORMAL_ORDER, 2.0  # orders if the best fit is at an end of ORDERS
+# Median, over the scenes of docs/tables/errors.csv, of error over value (for temperatures over their rise), at FORECAST_AT points
 FORECAST_AT = 1000
 FORECAST = {
     "flattening_ratio": 0.061, "flattening_ratio_total": 0.13, "crater_depth_m": 0.18, "splat_diameter_m": 0.038, "eps_p_mean": 0.17,
     "T_mean_K": 0.26, "rebound_velocity_m_s": 0.19,
 }  # fmt: skip
-TAIL_POINTS = 2000  # of which twenty lie above the 99th percentile: fewer, and the error of that is not measured
-SHAPE = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")  # what --accuracy is about
-LEAST, MOST = 300, 64000  # points that a choice may fall on
+TAIL_POINTS = 2000  # least points for the error of a 99th percentile: 20 of them are above it
+SHAPE = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")  # measures of --accuracy
+LEAST, MOST = 300, 64000  # limits of the points that --accuracy and --within choose
 
 
 class AccuracyError(ColdsprayError):
-    """No setting gives this accuracy or takes this time; the message names the nearest that is possible."""
+    """No setting has this accuracy or this time; the message gives the nearest possible value."""
 
 
 def at_points(
     scene: Scene, points: int, changes: Mapping[str, object] | None = None, element: float | None = None
 ) -> Scene:
-    """The scene with about so many points in its largest particle, and its elements in the same ratio to their spacing. changes: of
-    other keys; element: smallest edge of the target's elements over the spacing, in place of the scene's ratio. Raises SceneError where
-    such points are too coarse for the scene."""
+    """The scene with about this number of points in its largest particle, and with the same ratio of element sizes to the spacing.
+    changes: other keys; element: smallest edge of the target's elements over the spacing, by default the ratio of the scene. Raises
+    SceneError if the spacing is too large for the scene."""
     data = tomllib.loads(scene.to_toml()) | dict(changes or {})
     spacing = cost.spacing(max(p.volume for p in scene.particles), points)
     ratio = spacing / scene.derived.spacing
@@ -57,8 +56,8 @@ def at_points(
 
 
 def companions(scene: Scene) -> tuple[int, ...]:
-    """Points of the coarser runs that measure the error of a scene, the finer first; none for a coating, whose error comes from other
-    seeds, and for a scene too coarse for a coarser one."""
+    """Points of the coarser runs that measure the error of a scene, the finer run first. Empty for a coating, whose error is measured
+    by other seeds, and for a scene that is too coarse for a coarser run."""
     volumes = [p.volume for p in scene.particles]
     least = max(COARSEST, math.ceil(1.1 * cost.LEAST_POINTS * max(volumes) / min(volumes)))
     points = scene.derived.points
@@ -71,14 +70,14 @@ def companions(scene: Scene) -> tuple[int, ...]:
 
 
 def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
-    """Error of the first of several values, in their unit, and the order that it is extrapolated with.
+    """Error of the first of several values, in their unit, and the order of the extrapolation.
 
-    h: spacings, in any unit, the finest first. The fit is v + a h^p (Eca & Hoekstra 2014), with p in ORDERS where the best lies between
-    their ends, else with that of FIXED_ORDERS which scatters less. The error is the distance a h^p of the first value to zero spacing,
-    times a safety factor, plus the standard deviation of the fit and the distance of the first value from it; where the standard
-    deviation is not below the range of the values per step of refinement, the sum without this factor is multiplied by 3 and by their
-    ratio; it is 0 if all values are equal. Of two values the order is the formal one and the factor is 3 (Roache 1994, J. Fluids Eng.
-    116, 405). Raises ValueError for fewer than two values.
+    h: spacings, in any unit, the finest first. The fit is v + a h^p (Eca & Hoekstra 2014). p is the best of ORDERS if it is not at an
+    end of them, otherwise the better of FIXED_ORDERS. Three terms: the distance a h^p to zero spacing, the standard deviation of the
+    fit, and the distance of the first value from the fit. If the standard deviation is smaller than the range of the values per step of
+    refinement, the error is the sum of the terms, the first one times SAFETY. Otherwise it is the sum times SAFETY_UNCERTAIN times the
+    ratio of standard deviation to range per step. If all values are equal, it is 0. For two values the order is FORMAL_ORDER and the
+    error is SAFETY_UNCERTAIN a h^p (Roache 1994, J. Fluids Eng. 116, 405). Raises ValueError for fewer than two values.
     """
     H, y = np.asarray(h, float), np.asarray(values, float)
     if len(y) < 2:
@@ -105,22 +104,23 @@ def line(h: np.ndarray, y: np.ndarray, p: float) -> tuple[float, float, np.ndarr
 
 
 def _scatter(h: np.ndarray, y: np.ndarray, p: float, unknowns: int) -> float:
-    """Standard deviation about the fit of v + a h^p."""
+    """Standard deviation of the values from the fit v + a h^p with a number of unknowns."""
     residuals = line(h, y, p)[2]
     return float(np.sqrt(residuals @ residuals / max(len(y) - unknowns, 1)))
 
 
 def forecast(points: float) -> dict[str, float]:
-    """Measure -> the error over the value that may be expected at so many points, before anything is computed."""
+    """Expected error over value at a number of points, by measure, before any computation."""
     return {key: share * (FORECAST_AT / points) ** (FORMAL_ORDER / 3.0) for key, share in FORECAST.items()}
 
 
 def has_error(key: str, points: float) -> bool:
-    """Whether coarser runs give the error of a measure, for a run of this many points per particle: percentiles need many points."""
+    """Whether coarser runs give the error of a measure of a run with this number of points per particle: percentiles need many
+    points."""
     return points >= TAIL_POINTS or "_p99" not in key
 
 
 def points_for(share: float) -> int:
-    """The fewest points for which the forecast of the errors of the shape is `share` of the value or less."""
+    """The least number of points with a forecast of at most `share` for the errors of SHAPE over their values."""
     worst = max(forecast(1.0)[key] for key in SHAPE)
     return max(math.ceil((worst / share) ** (3.0 / FORMAL_ORDER)), LEAST)

@@ -1,4 +1,4 @@
-"""What `check` warns of, and the summary of a run."""
+"""Warnings about a scene, for `coldspray check` and for the summary of a run."""
 
 import math
 from collections.abc import Sequence
@@ -12,8 +12,10 @@ from .model import ImpactPlan
 from .reading import Scene
 
 BEYOND_FIT = "beyond the fitted range"
-NEAR_MELTING = 0.9  # of the melting point
-EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so little that bonds by exposure are too weak
+NEAR_MELTING = 0.9  # temperature over melting point
+EXPOSURE_POINTS = (
+    12000  # of a particle: with fewer points its surface stretches too little, and bonds by exposure are too weak
+)
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
@@ -27,13 +29,13 @@ def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
 
 
 def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided: Effects) -> list[str]:
-    """Warnings before a scene runs: where it leaves the range of its models, and which of its settings have no effect."""
+    """Warnings about a scene: conditions outside the range of the models, and settings without effect."""
     warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
         warnings.append(text)
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points in place of {usual}"
-        warnings.append(f"the smallest or thinnest particle sets the spacing: the largest has {points}")
+        warnings.append(f"the spacing is that for the smallest or thinnest particle: the largest has {points}")
     shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
         warnings.append(
@@ -41,8 +43,10 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
             f" {units.rounded(shortest, 'ns')}: fields are written every {CHUNK} time steps"
         )
     if scene.derived.element_size < scene.derived.spacing:
-        warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
-    hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what
+        warnings.append(
+            "element_size is smaller than the spacing: single points indent the facets; give a larger element_size"
+        )
+    hot: dict[str, list[tuple[str, float]]] = {}  # particles and their temperatures (K), by metal
     for i, label in zip(impacts, scene.labels, strict=True):
         T = effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature
         if _hot(i.material, T):
@@ -56,7 +60,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
         real = units.rounded(scene.derived.time_between, "ms")
         warnings.append(
-            f"dwell = 0 us: each particle hits a target still hot from the impact before; in the spray {real} pass between impacts"
+            f"dwell = 0 us: each particle hits a target that is hot from the last one; in the spray the time between impacts is {real}"
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
@@ -64,13 +68,13 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         name = impacts[0].material.name
         warnings.append(
             f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond: give sigma_TS under"
-            f' [materials.{name}], or adhesion.kind ("none" to have it so)'
+            f' [materials.{name}], or adhesion.kind ("none" if it shall not bond)'
         )
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
         warnings.append(
-            f"{fewest} points to a particle are too few for bonds by exposure, which come out too weak: critical velocities are 6 to"
-            ' 10 % too high with 5000 points, and with 1000 there may be none; take preset = "fine"'
+            f"{fewest} points per particle are too few for bonds by exposure: bonds are too weak, critical velocities are 6 to 10 %"
+            ' too high with 5000 points, and with 1000 points there may be none; give preset = "fine"'
         )
     if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
         warnings.append(
@@ -79,12 +83,15 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(absorbing_distance(scene, scene.particle.offset)):
-        warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
+        warnings.append(
+            'absorbing_boundaries has no effect: no face of the substrate is absorbing (substrate.sides = "absorbing")'
+        )
     return warnings
 
 
 def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
-    """Warning of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
+    """Warning about metals whose strength law is not fitted at the strain rate v / D, with the sets that are; "" without such
+    metals."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
     limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
@@ -94,19 +101,19 @@ def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str
 
 
 def _hot(material: Material, *reached: float) -> str:
-    """Text about bodies that may reach these temperatures, K; nothing if all are far from melting."""
+    """Text about bodies that may reach these temperatures, K; "" if all are far from melting."""
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
 
 
 def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
-    """Warning of a coating, its centres on a disc of `radius` m, that grows higher than it is wide; else nothing."""
+    """Warning about a coating that is higher than wide, with its centres on a disc of `radius` m; "" for all others."""
     across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
-    height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # of their volume on the disc
+    height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # volume of the particles over area of the disc
     if height < across:
         return ""
     return (
-        f"{len(impacts)} particles on a disc of {units.rounded(across, 'um')} make a heap some {units.rounded(height, 'um')} high,"
-        " whose flanks the late ones slide down: give a larger coating.radius or fewer particles"
+        f"{len(impacts)} particles on a disc of {units.rounded(across, 'um')} make a heap of {units.rounded(height, 'um')} height,"
+        " and late particles slide down its flanks: give a larger coating.radius or fewer particles"
     )

@@ -1,4 +1,4 @@
-"""Shapes of particles from files: read, cleaned and checked once."""
+"""Shapes of particles from files. Each file is read, cleaned and checked once."""
 
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..scene.model import SceneData, particle_tables
 
 
 def load(path: Path) -> Solid:
-    """The solid in a file. Raises InputError or SplatError with the reason why there is none."""
+    """The solid in a file. Raises InputError or SplatError with the reason if there is none."""
     return _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
@@ -38,7 +38,7 @@ def form_of(solid: Solid) -> Form:
 
 
 def read_forms(scene: SceneData) -> list[str]:
-    """Read the files of the scene's particles, and give these their form. Returns the problems, by field."""
+    """Read the files of the scene's particles, and set the particles' forms. Returns the problems."""
     problems = []
     for label, particle in zip(scene.labels, scene.particles, strict=True):
         if particle.file is not None:
@@ -51,7 +51,7 @@ def read_forms(scene: SceneData) -> list[str]:
 
 
 def with_folders(raw: dict[str, object], source: str) -> None:
-    """Make names of files absolute, which are relative to the folder of the scene. raw: nested dicts, changed in place."""
+    """Make the names of files absolute; they are relative to the folder of the scene. raw: nested dicts, changed in place."""
     for particle in particle_tables(raw):
         name = particle.get("file")
         if isinstance(name, str) and len(name) < 4096 and "\0" not in name:

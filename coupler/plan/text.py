@@ -1,4 +1,4 @@
-"""The plan in words, as `coldspray check` prints it."""
+"""The plan as text, for `coldspray check`."""
 
 import math
 from pathlib import Path
@@ -10,15 +10,15 @@ from .forecast import forecast
 from .model import ImpactPlan, Plan
 from .remarks import BEYOND_FIT
 
-_MOST_LINES = 12  # of the impacts
-_FEW = 3  # lines of the impacts, in brief
+_MOST_LINES = 12  # about impacts
+_FEW = 3  # lines about impacts, and names of effects, in brief
 _FEWER = 2  # lines of other lists, in brief
 _MOST_SHAPES = 3
 
 
 def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
-    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. here: lines about time and accuracy on this
-    machine, in place of the plan's own. brief: within 30 lines, without the reasons of the effects."""
+    """The plan as text of some 50 lines of up to 120 columns. here: lines about time and accuracy on this machine, instead of the
+    plan's estimate; brief: within 30 lines, without the reasons for the effects."""
     target, show, expected = plan.target, units.rounded, forecast(plan)
     dt = min(impact.dt_expected for impact in plan.impacts)
     points = sorted({i.points for i in plan.impacts})
@@ -57,7 +57,7 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        "  retry      what fails is computed again from its start with half the time step, in twice its time, then with a quarter",
+        "  retry      failed impacts are computed again from their start with half the time step, in twice the time, then a quarter",
         f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {expected.target_load:.2g} of the particle",
         "",
         "  effect                    on   because",
@@ -67,7 +67,7 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
 
 
 def _strength(plan: Plan, brief: bool) -> list[str]:
-    """The strength set of each metal, and the powder's own hardness; unless in brief the sources of each metal."""
+    """Lines about the strength set of each metal and the hardness of the powder; without `brief` also about sources."""
     metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
     hardened = max(impact.initial_strain for impact in plan.impacts)
     powder = f"begins at a plastic strain of {hardened:.3g}" if hardened > 0.0 else "as its set, no hardness given"
@@ -82,7 +82,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
 
 
 def _note(warning: str, brief: bool) -> list[str]:
-    """Lines of a warning, in brief without the names of the sets where it is about those."""
+    """Lines of a warning; in brief without the names of valid strength sets."""
     sets = ""
     if warning.startswith(BEYOND_FIT):
         warning, _, sets = warning.partition("; ")
@@ -93,12 +93,12 @@ def _note(warning: str, brief: bool) -> list[str]:
 
 
 def _cut(lines: list[str], brief: bool) -> list[str]:
-    """The lines; in brief the first ones."""
+    """The lines, in brief only the first ones."""
     return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
 
 
 def _impacts(plan: Plan, most: int) -> list[str]:
-    """The particles, a line for each of the first `most`."""
+    """A line for each of the first `most` particles."""
     if len(plan.impacts) == 1:
         return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
     lines = [
@@ -132,7 +132,7 @@ def _pause(impact: ImpactPlan) -> str:
 
 
 def _splats(plan: Plan) -> list[str]:
-    """Lines about the method and the adhesion of splats, if there are several or the scene sets them."""
+    """Lines about the conversion and the adhesion of splats; none for a single particle without adhesion."""
     if len(plan.impacts) == 1 and plan.adhesion.kind == "none":
         return []
     each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
@@ -145,19 +145,17 @@ def _splats(plan: Plan) -> list[str]:
 
 
 def _window(plan: Plan) -> list[str]:
-    """Line about the part of the target that is computed, unless it is the whole."""
+    """Line about the computed part of the target; none if all of it is computed."""
     lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
     if not lengths:
         return []
     most = max(each.stop - each.first for each in plan.batches)
     side = f"; {len(plan.batches)} batches of up to {most} impacts side by side" if most > 1 else ""
-    return [
-        f"  window     {_range(lengths, 'um')} round each impact, which is computed on that cut of the target{side}"
-    ]
+    return [f"  window     {_range(lengths, 'um')} round each impact: only this part of the target is computed{side}"]
 
 
 def _ends(plan: Plan) -> str:
-    """When impacts end, and how often they are written."""
+    """Line about the end of the impacts, and the time between written steps."""
     several = len(plan.impacts) > 1
     last = sorted({i.end_time for i in plan.impacts})
     often = sorted({max(i.output_every, estimates.CHUNK * i.dt_expected) for i in plan.impacts})
@@ -173,13 +171,13 @@ def _bytes(number: float) -> str:
 
 
 def _range(values: list[float], unit: str = "ns") -> str:
-    """The first and the last of ascending SI values, equal ones once."""
+    """The first and the last of ascending SI values as text; one value if they are equal."""
     first, last = (units.rounded(value, unit) for value in (values[0], values[-1]))
     return first if first == last else f"{first.removesuffix(f' {unit}')} to {last}"
 
 
 def _shapes(plan: Plan) -> list[str]:
-    """Lines about shapes other than spheres, one for each of the first ones."""
+    """Lines about shapes other than spheres, at most _MOST_SHAPES."""
     lines = []
     for particle in (impact for impact in plan.impacts if impact.shape != "sphere"):
         lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)
@@ -192,13 +190,13 @@ def _shapes(plan: Plan) -> list[str]:
 
 
 def duration(seconds: float) -> str:
-    """A wall time for people: "8 s", "3 min", "2.5 h"."""
+    """A wall time as text: "8 s", "3 min", "2.5 h"."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"
 
 
 def _round(number: int) -> int:
-    """Two significant digits: an estimate deserves no more."""
+    """The number rounded to two significant digits, for estimates."""
     step = 10 ** max(len(str(number)) - 2, 0)
     return round(number / step) * step

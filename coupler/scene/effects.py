@@ -1,14 +1,14 @@
-"""Names of the effects that a scene may ask for, and the grammar of the request."""
+"""Names of the effects of a scene, and the check of its key `effects`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 from .. import units
 
 
 @dataclass(frozen=True)
 class Effects:
-    """Which effects take part in a run; a scene asks for them by these names."""
+    """The effects of a run: True if on. A scene uses the same names."""
 
     thermal_softening: bool
     rate_hardening: bool
@@ -31,12 +31,12 @@ class Effects:
 
     @property
     def switches(self) -> dict[str, bool]:
-        """Name -> whether it takes part, as `constitutive.law_record` wants it."""
-        return {name: vars(self)[name] for name in NAMES}
+        """Effects by name: True if on, for `constitutive.law_record`."""
+        return asdict(self)
 
     @property
     def active(self) -> list[str]:
-        """Names of the effects that take part."""
+        """Names of the effects that are on."""
         return [name for name, on in self.switches.items() if on]
 
 
@@ -45,7 +45,7 @@ WHOLE = ("auto", "all", "none")
 
 
 def check_request(request: str | Sequence[str]) -> list[str]:
-    """Problems of the key `effects` of a scene; empty if there are none."""
+    """Problems of the key `effects` of a scene."""
     if isinstance(request, str):
         return [] if request in WHOLE else [f"expected one of {', '.join(WHOLE)}, or a list of names"]
     problems, seen = [], set()

@@ -1,4 +1,4 @@
-"""A job: powder, gas and substrate as a process engineer names them, and the time in which they are to be answered."""
+"""A job: powder, gas and substrate in the terms of a process engineer, and the time for the computation."""
 
 from typing import Annotated
 
@@ -8,21 +8,21 @@ from .tables import GasConditions, PowderSizes, Quantity, Section, Temperature, 
 
 
 class Powder(Section):
-    """material: its metal; sizes: of its particles."""
+    """A powder. material: its metal; sizes: of its particles."""
 
     material: str
     sizes: PowderSizes
 
 
 class Base(Section):
-    """The part that is coated, as thick as need be. temperature: K, of its surface."""
+    """The part to be coated, of sufficient thickness. temperature: of its surface, K."""
 
     material: str
     temperature: Temperature = 300.0
 
 
 class JobData(Section):
-    """All tables of a job, SI units. within: time, s, in which it is to be answered, on all cores."""
+    """All tables of a job, SI units. within: time for the computation on all cores, s."""
 
     within: Annotated[float, Quantity("min", "1 s", "1000 h")] = 1800.0
     powder: Powder

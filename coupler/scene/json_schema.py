@@ -1,4 +1,4 @@
-"""The tables of a scene as a JSON schema (Draft 4), from which editors complete and check keys, as taplo does for TOML."""
+"""The tables of a scene as a JSON schema (Draft 4), with which editors complete and check keys (for TOML, for example, taplo)."""
 
 import re
 import tomllib
@@ -15,7 +15,7 @@ DRAFT = "http://json-schema.org/draft-04/schema#"
 
 
 def scene_schema() -> dict[str, Any]:
-    """The schema, as nested dicts. What only several keys together decide (`[gas]` gives velocities) is left to `coldspray check`."""
+    """The schema of a scene, as nested dicts. It has no conditions on several keys; `coldspray check` tests these."""
     whole = SceneData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a scene of coldspray", "description": ""} | _draft_4(whole)
     properties, tables = schema["properties"], schema["definitions"]
@@ -34,13 +34,13 @@ def scene_schema() -> dict[str, Any]:
             _described(f"{name}.{key}", of_key)
     for key, of_key in tables["Share"]["properties"].items():
         _described(f"coating.powder.{key}" if key == "share" else f"coating.{key}", of_key)
-    # [coating] takes the place of the particles, [gas] gives their velocities, [[coating.powder]] its metals
+    # [coating] replaces the particles, [gas] gives their velocities, [[coating.powder]] its metals
     schema["required"] = ["substrate"]
     tables["Coating"]["required"].remove("material")
     del tables["Share"]["required"][1:]
     table = tables["Particle"]
     table["required"].remove("velocity")
-    # the table itself beside its array, without anyOf: an editor then marks the wrong key alone
+    # the keys of the table and its array in one entry, without anyOf: an editor then marks only the wrong key
     properties["particle"] |= {key: table[key] for key in ("properties", "required", "additionalProperties")} | {
         "type": ["object", "array"], "minItems": 1, "items": {"$ref": "#/definitions/Particle"},
     }  # fmt: skip
@@ -48,7 +48,7 @@ def scene_schema() -> dict[str, Any]:
 
 
 def job_schema() -> dict[str, Any]:
-    """The schema of the file of a job, as nested dicts; the tables that a scene has too are described as there."""
+    """The schema of the file of a job, as nested dicts. Tables that are also in scenes have the same descriptions."""
     whole = JobData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a job of coldspray", "description": ""} | _draft_4(whole)
     tables = schema["definitions"]
@@ -59,7 +59,7 @@ def job_schema() -> dict[str, Any]:
 
 
 def words(key: str) -> str:
-    """Meaning of a key, in Markdown; of a table with ".about": words("particle.gap"), words("gas.about"). "" where there are none."""
+    """Meaning of a key or a table, in Markdown: words("particle.gap"), words("gas.about"). "" if there is none."""
     table, _, name = key.partition(".") if "." in key else ("", "", key)
     return str((_words().get(table, {}) if table else _words()).get(name, ""))
 
@@ -70,13 +70,13 @@ def _words() -> dict[str, Any]:
 
 
 def _described(key: str, entry: dict[str, Any]) -> None:
-    """Put the words of a key before the limits that its description has, without the links of the page."""
+    """Add the meaning of a key, without links, to its description."""
     plain = re.sub(r" \(\[.*?\]\(.*?\)\)", "", words(key))
     entry["description"] = "; ".join(text for text in (plain, entry.get("description", "")) if text)
 
 
 def _draft_4(node: Any) -> Any:
-    """A part of a schema of Draft 2020-12 in the words of Draft 4; defaults with their units; no nulls, which TOML does not have."""
+    """Convert a part of a schema from Draft 2020-12 to Draft 4. Defaults have units. Null is removed, because TOML does not have it."""
     if isinstance(node, list):
         return [_draft_4(item) for item in node]
     if not isinstance(node, dict):
@@ -84,7 +84,7 @@ def _draft_4(node: Any) -> Any:
     node = {
         {"$defs": "definitions", "prefixItems": "items"}.get(key, key): _draft_4(value) for key, value in node.items()
     }
-    for limit in ("minimum", "maximum"):  # in Draft 4 the exclusive one is a switch beside the limit
+    for limit in ("minimum", "maximum"):  # in Draft 4 an exclusive limit is a limit and a boolean
         if isinstance(own := node.get(exclusive := f"exclusive{limit.title()}"), float | int):
             node |= {limit: own, exclusive: True}
     choices = [choice for choice in node.get("anyOf", ()) if choice != {"type": "null"}]
@@ -93,7 +93,7 @@ def _draft_4(node: Any) -> Any:
     if "const" in node:
         node["enum"] = [node.pop("const")]
     unit = node.pop("unit", None)
-    if isinstance(node.get("title"), str):  # of pydantic: the key again
+    if isinstance(node.get("title"), str):  # pydantic repeats the key
         del node["title"]
     default = node.get("default")
     if unit is not None and isinstance(default, float):

@@ -1,4 +1,4 @@
-"""Problems of a scene's tables in the words of the scene."""
+"""Messages about the tables of a scene, with the names of the scene's fields."""
 
 import copy
 import json
@@ -13,18 +13,16 @@ from .. import units
 from .model import SceneData
 from .tables import read_table
 
-_EXAMPLES = {  # what a required field looks like; stands in for a faulty one while others are checked
+_EXAMPLES: dict[
+    str, dict[str, object]
+] = {  # of required fields; those of particle and substrate replace faulty ones while other fields are checked
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
+    "coating": {"material": "Ni", "number": 40, "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"},
+    "powder": {"material": "Cu", "sizes": "15-45 um"},
+    "gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"},
 }
-_COATING_EXAMPLE = {
-    "coating": {"material": "Ni", "number": 40, "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
-}
-_JOB_EXAMPLE = {"powder": {"material": "Cu", "sizes": "15-45 um"}}
-_GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
-
-
-# what pydantic's kinds of error want instead
+# expected values, by pydantic's kinds of error
 _EXPECTED = {
     "float_type": "a number without unit or quotes", "int_type": "a whole number, without unit or quotes",
     "int_from_float": "a whole number", "bool_type": "true or false", "string_type": "a text in quotes",
@@ -33,7 +31,8 @@ _EXPECTED = {
 
 
 def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
-    """The scene with its faulty fields replaced, so that the others can be checked against each other."""
+    """The scene with valid values instead of the faulty fields, so that relations between the other fields can be checked. faulty:
+    paths of the fields. None if the scene is not valid with these values."""
     mended = copy.deepcopy(dict(raw))
     particles = mended.get("particle")
     mended["particle"] = particles if isinstance(particles, list) else [particles]
@@ -43,7 +42,7 @@ def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> S
             table, *inner = table[int(inner[0])], *inner[1:]
             if inner and isinstance(table, dict):
                 table.pop(inner[0], None)
-        elif section in ("gas", "nozzles", "coating") or not inner:  # what they say of the particle is in it already
+        elif section in ("gas", "nozzles", "coating") or not inner:  # the particles already have their data
             mended.pop(str(section), None)
         elif isinstance(table, dict):
             table.pop(inner[0], None)
@@ -58,18 +57,19 @@ def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> S
 
 
 def covers(bad: str, field: str) -> bool:
+    """Whether a faulty field is `field`, contains it, or is an element of it."""
     return bad == field or field.startswith((f"{bad}.", f"{bad}[")) or bad.startswith(f"{field}[")
 
 
 def dotted(loc: tuple[int | str, ...], several: bool) -> str:
-    """Name of a field as in a scene, with indices from 1: particle[2].velocity; particle.velocity unless `several` particles."""
+    """Name of a field in messages, with indices from 1: particle[2].velocity, or particle.velocity without `several` particles."""
     parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] == "particle" and isinstance(p, int))]
     text = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in parts)
     return text.removeprefix(".")
 
 
 def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneData) -> str:
-    """One of pydantic's errors as a line a process engineer understands. whole: the model of the file."""
+    """A message for an error of pydantic. several: whether the scene has several particles; whole: the model of the file."""
     kind, loc = entry["type"], entry["loc"]
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
     model = _model_at(loc[:-1], whole)
@@ -82,8 +82,7 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
     if kind == "missing":
         if field in _EXAMPLES:
             return f"{field}: missing; add a table [{field}]"
-        examples = _EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE | _JOB_EXAMPLE
-        example = examples.get(str(loc[0]), {}).get(str(loc[-1]), "...")
+        example = _EXAMPLES.get(str(loc[0]), {}).get(str(loc[-1]), "...")
         return f"{field}: missing; add for example {loc[-1]} = {json.dumps(example)}"
     start = f"{field} = {shown(entry['input'])}"
     if kind == "literal_error":
@@ -91,10 +90,7 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
-        if loc in (("particle",), ("coating",)) or loc[:-1] == (
-            "coating",
-            "powder",
-        ):  # a whole table is no answer to what is wrong with it
+        if loc in (("particle",), ("coating",)) or loc[:-1] == ("coating", "powder"):  # without the table
             return f"{field} {text}"
         return f"{start} {text}" if text.startswith(("is ", "has ", "needs ", "would ")) else f"{start}: {text}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
@@ -110,6 +106,7 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
 
 
 def _model_at(loc: tuple[int | str, ...], whole: type[BaseModel]) -> type[BaseModel]:
+    """The model of the table at a path in the model of a file."""
     if not loc or loc[0] not in (names := {info.alias or n: n for n, info in whole.model_fields.items()}):
         return whole
     inner = whole.model_fields[names[str(loc[0])]].annotation
@@ -121,7 +118,7 @@ def _model_at(loc: tuple[int | str, ...], whole: type[BaseModel]) -> type[BaseMo
 
 
 def shown(value: object) -> str:
-    """A value of the input in a message: short, and without control characters."""
+    """A value of the input for a message: at most 60 characters, without control characters."""
     try:
         text = json.dumps(value, default=str)
     except (ValueError, RecursionError):
@@ -130,4 +127,5 @@ def shown(value: object) -> str:
 
 
 def text_of(value: float, unit: str) -> str:
+    """An SI value in a unit, in quotation marks."""
     return f'"{units.rounded(value, unit, 6)}"'

@@ -1,6 +1,6 @@
-"""The scene: what a person asks for. It is data and derives nothing.
+"""The data of a scene. Derived values are in `coupler.plan.derived`.
 
-Its texts are restricted to safe patterns, as some reach solvers that can run commands.
+Texts are limited to safe characters, because some are passed to solvers that can run commands.
 """
 
 import re
@@ -12,14 +12,12 @@ from pydantic import Field, field_validator
 
 from . import tables
 from .effects import check_request
-from .tables import SHAPES as SHAPES
-from .tables import Shape as Shape
 
 MOST_IMPACTS = 500
 
 
 class SceneData(tables.Section):
-    """All tables of a scene, complete: what a person asks for, in SI units. `coupler.plan.reading.Scene` reads and checks it."""
+    """All tables of a scene, in SI units. `coupler.plan.reading.Scene` reads and checks them."""
 
     name: str = Field("scene", pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,63}$")
     preset: Literal["draft", "standard", "fine"] = "standard"
@@ -69,25 +67,25 @@ class SceneData(tables.Section):
 
     @property
     def labels(self) -> list[str]:
-        """Names of the particles in messages: "particle" for a single one, else "particle[1]" and so on."""
+        """Names of the particles in messages: "particle" for a single particle, otherwise "particle[1]" and so on."""
         n = len(self.particles)
         return ["particle"] if n == 1 else [f"particle[{i}]" for i in range(1, n + 1)]
 
 
 def particle_tables(raw: Mapping[str, object]) -> list[dict[str, object]]:
-    """The tables of the particles in a scene as nested dicts, one or several; values of other types are left out."""
+    """The tables of the particles in a scene of nested dicts, without values of other types."""
     particles = raw.get("particle")
     return [each for each in (particles if isinstance(particles, list) else [particles]) if isinstance(each, dict)]
 
 
 def coating_tables(raw: Mapping[str, object]) -> list[object]:
-    """The table [coating] of a scene as nested dicts and those of its powders."""
+    """The table [coating] of a scene of nested dicts, and the tables of its powders."""
     coating = raw.get("coating")
     powders = coating.get("powder") if isinstance(coating, dict) else None
     return [coating, *(powders if isinstance(powders, list) else [])]
 
 
 def safe_name(source: str) -> str:
-    """The stem of a file name, made of letters, digits, '_', '.', '-' and spaces only."""
+    """The stem of a file name with only letters, digits, '_', '.', '-' and spaces; other characters become '_'."""
     stem = re.sub(r"[^A-Za-z0-9_. -]", "_", Path(source).stem, flags=re.ASCII)[:64].lstrip("_. -")
     return stem or "scene"

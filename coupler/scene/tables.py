@@ -3,7 +3,7 @@
 import math
 import re
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self, TypeVar, get_args
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -31,38 +31,34 @@ from ..physics.adhesion import Criterion, Kind
 
 MASS_SCALING = 0.05  # of the next particle's mass, by which short elements may be heavier (`fe.inertia`)
 GROWTH = 0.35  # element size gained per unit of distance outside the refined part of the target
-SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A field with a unit: text in the scene, an SI float inside. `unit` is the one it is written out in.
-
-    low, high: limits, as text with units. below: a message of its own for a value under `low`. auto: "auto" is a value too, which the
-    table reads as none.
-    """
+    """A field with a unit: text in the scene, a float in SI units in the program. unit: for output; low, high: limits, as text with
+    units; auto: "auto" is also a value, which becomes None."""
 
     unit: str
     low: str
     high: str
-    below: str = ""
     auto: bool = False
 
     def read(self, value: object) -> float:
-        """SI value of a scene's text. Raises units.UnitError or ValueError with what is wrong."""
+        """SI value of a scene's text. Raises units.UnitError or ValueError with the problem."""
         if value is None:
             raise units.UnitError("needs a value")
         dimension = units.dimension_of(self.unit)
         number = units.parse(value, dimension)
         low, high = units.parse(self.low, dimension), units.parse(self.high, dimension)
-        if self.below and number < low:
-            raise ValueError(self.below)
         if not low <= number <= high:
             raise ValueError(f"is outside {self.low} to {self.high}")
         return number
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.read)
+        def read(value: object) -> float | None:
+            return None if self.auto and value == "auto" else self.read(value)
+
+        return core_schema.no_info_plain_validator_function(read)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         text = units.pattern(units.dimension_of(self.unit)) + ("|^auto$" if self.auto else "")
@@ -73,18 +69,18 @@ class Quantity:
 class BySize:
     """A quantity that depends on the particle's diameter: one text, or pairs of texts [diameter, value], linear between them.
 
-    Inside: pairs (diameter m, value), ascending; one text is the one pair (0.0, value). of: what the values are.
+    In the program: pairs (diameter m, value), ascending; one text becomes the pair (0.0, value). of: the quantity of the values.
     """
 
     of: Quantity
 
     def read(self, value: object) -> tuple[tuple[float, float], ...]:
-        """Raises units.UnitError or ValueError with what is wrong."""
+        """Pairs in SI units of a scene's text or list. Raises units.UnitError or ValueError with the problem."""
         if not isinstance(value, list | tuple):
             return ((0.0, self.of.read(value)),)
         if not value or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
             raise ValueError('needs one value, or pairs of a diameter and a value, such as [["18 um", "610 m/s"]]')
-        pairs = tuple(sorted((_Diameter.read(size), self.of.read(number)) for size, number in value))
+        pairs = tuple(sorted((DIAMETER.read(size), self.of.read(number)) for size, number in value))
         if len({size for size, _ in pairs}) < len(pairs):
             raise ValueError("names a diameter twice: give one value for each diameter")
         return pairs
@@ -93,11 +89,11 @@ class BySize:
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        one, size = (q.__get_pydantic_json_schema__(schema, handler) for q in (self.of, _Diameter))
+        one, size = (q.__get_pydantic_json_schema__(schema, handler) for q in (self.of, DIAMETER))
         return {"anyOf": [one, {"type": "array", "items": {"type": "array", "items": [size, one]}}]}
 
 
-_Diameter = Quantity("um", "1 um", "200 um")
+DIAMETER = Quantity("um", "1 um", "200 um")
 _Dwell = Quantity("us", "0 s", "10 s", auto=True)
 _Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
 _GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
@@ -105,27 +101,16 @@ _Kelvin = Quantity("K", "100 K", "5000 K")
 
 
 class Section(BaseModel):
-    """A table of the scene: no other keys than its own, and unchangeable once read."""
+    """A table of the scene. Unknown keys are errors; the values cannot be changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _WithDwell(Section):
-    """A table whose dwell may be "auto": as long as the spray has it, None inside."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _auto_is_none(cls, data: object) -> object:
-        if isinstance(data, dict) and data.get("dwell") == "auto":
-            return {key: value for key, value in data.items() if key != "dwell"}
-        return data
 
 
 T = TypeVar("T", bound=Section)
 
 
 def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails]]:
-    """A table of texts with units: (table, problems), of which one is empty."""
+    """Read a table of texts with units. Returns (table, []), or (None, problems)."""
     try:
         return kind.model_validate(data), []
     except ValidationError as error:
@@ -133,30 +118,29 @@ def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails
 
 
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
-Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
+Temperature = Annotated[float, _Kelvin]
 Face = Literal["absorbing", "free", "fixed", "half_space"]
-Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # those of coupler.physics.shapes
-SHAPES: tuple[str, ...] = get_args(Shape)
+Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # the shapes of coupler.physics.shapes
 
 
-class Particle(_WithDwell):
-    """One impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
+class Particle(Section):
+    """One impact. SI units. angle (rad): from the surface normal; offset: of the centre at the start.
 
-    shape: a name of `coupler.physics.shapes`, or "file": the closed surface in `file`; diameter: of the sphere of equal volume;
-    tilt (rad): of the shape about y; dwell: time (s) until the next impact, None: as the spray has it.
-    hardness, yield_strength (Pa, one of them): of the powder, instead of the metal's own.
+    shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: of the sphere of equal volume; tilt
+    (rad): of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness, yield_strength (Pa, one of
+    them): of the powder, instead of the values of the metal.
     """
 
     material: str
     shape: Literal[Shape, "file"] = "sphere"
     file: str | None = None
-    diameter: Annotated[float, Quantity("um", "1 um", "200 um")]
-    velocity: Annotated[float, Quantity("m/s", "10 m/s", "2000 m/s")]
+    diameter: Annotated[float, DIAMETER]
+    velocity: Annotated[float, _Velocity]
     angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
     tilt: Annotated[float, Quantity("deg", "-90 deg", "90 deg")] = 0.0
     temperature: Temperature = 300.0
     offset: tuple[Offset, Offset] = (0.0, 0.0)
-    gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
+    gap: Annotated[float | None, Quantity("um", "0 um", "200 um")] = None
     dwell: Annotated[float | None, _Dwell] = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
@@ -175,24 +159,24 @@ class Particle(_WithDwell):
 
     @property
     def form(self) -> morphology.Form:
-        """The particle's shape in its size; a shape from a file is a sphere until the file is read (`coupler.plan.solids`)."""
+        """The shape in the size of the particle. A shape from a file is a sphere until the file is read (`coupler.plan.solids`)."""
         if self.shape == "file":
             return (self._of_file or morphology.form("sphere", 1.0)).scaled(self.diameter)
         return morphology.form(self.shape, self.diameter)
 
     @property
     def width(self) -> float:
-        """Extent of the particle along the target, the larger of two, m; a sphere's diameter."""
+        """Larger of the two extents of the particle parallel to the target, m."""
         return self.form.width(self.tilt)
 
     @property
     def height(self) -> float:
-        """Extent of the particle normal to the target, m, but no less than the diameter of the sphere of equal volume."""
+        """Extent of the particle normal to the target, m, at least the diameter of the sphere of equal volume."""
         return max(self.diameter, self.form.height(self.tilt))
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
-    """Sizes of a powder in any of SIZE_FORMS: diameters in m, or the name of a file."""
+    """Sizes of a powder from a value in one of SIZE_FORMS: diameters in m, or the name of a file."""
     if value is None:
         return None
     if isinstance(value, str) and (sieves := _SIEVES.fullmatch(value)):
@@ -203,7 +187,7 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
     if not isinstance(value, list | tuple) or len(value) not in (2, 3):
         raise ValueError(f"needs {SIZE_FORMS}")
     try:
-        diameters = tuple(map(_Diameter.read, value))
+        diameters = tuple(map(DIAMETER.read, value))
     except units.UnitError as error:
         raise ValueError(f"has a diameter that {error}") from None
     if len(value) == 2 and not diameters[0] < diameters[1]:
@@ -214,8 +198,10 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
 
 
 _SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
-SIZE_FORMS = '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv of a sizer'
-#: Sizes of a powder by mass: two diameters (m) of sieves, three below which 10, 50 and 90 % are, or the name of a sizer's file.
+SIZE_FORMS = (
+    '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file of a sizer'
+)
+#: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the name of a sizer's file.
 PowderSizes = Annotated[
     tuple[float, ...] | str,
     BeforeValidator(_read_sizes),
@@ -234,19 +220,19 @@ PowderSizes = Annotated[
 class PowderTable(Section):
     """A powder of a coating. SI units.
 
-    diameter: median of a log-normal distribution by number, spread: its geometric standard deviation; or sizes, in place of both.
-    smallest, largest: limits of the diameter. velocity, temperature: one value or by size, from [gas] where there is none;
-    velocity_spread (m/s): standard deviation about it, cut at two. shapes: shares of each shape, by number; those that are no
-    spheres fall at any tilt; files: a pattern of files with shapes, all alike often, in their place. hardness, yield_strength (Pa):
-    as of a particle.
+    diameter: median of a log-normal distribution by number; spread: its geometric standard deviation; or sizes instead of both.
+    smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
+    (m/s): standard deviation, limited to two deviations. shapes: fraction by number of each shape; shapes other than spheres have a
+    random tilt. files: pattern of names of files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa):
+    as in `Particle`.
     """
 
     material: str
-    diameter: Annotated[float | None, _Diameter] = None
+    diameter: Annotated[float | None, DIAMETER] = None
     spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
     sizes: PowderSizes | None = None
-    smallest: Annotated[float | None, _Diameter] = None
-    largest: Annotated[float | None, _Diameter] = None
+    smallest: Annotated[float | None, DIAMETER] = None
+    largest: Annotated[float | None, DIAMETER] = None
     velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Velocity)] = None
     velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
     temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
@@ -258,9 +244,9 @@ class PowderTable(Section):
     @field_validator("shapes")
     @classmethod
     def _shares(cls, value: dict[str, float]) -> dict[str, float]:
-        unknown = [name for name in value if name not in SHAPES]
-        if unknown:
-            raise ValueError(f"{unknown[0]!r:.20} is not one of {', '.join(SHAPES)}{units.nearest(unknown[0], SHAPES)}")
+        known = morphology.SHAPES
+        if unknown := [name for name in value if name not in known]:
+            raise ValueError(f"{unknown[0]!r:.20} is not one of {', '.join(known)}{units.nearest(unknown[0], known)}")
         shares = list(value.values())
         if not all(math.isfinite(share) and share >= 0.0 for share in shares) or not sum(shares) > 0.0:
             raise ValueError(
@@ -281,17 +267,17 @@ class PowderTable(Section):
 
 
 class Share(PowderTable):
-    """One of several powders. share: of the mass that is fed, 0 to 1."""
+    """One of several powders. share: fraction of the mass of the feed, 0 to 1."""
 
     share: StrictFloat = Field(gt=0.0, lt=1.0)
 
 
-class Coating(_WithDwell, PowderTable):
-    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.plan.coating` makes these of it. SI units.
+class Coating(PowderTable):
+    """Random particles from a seed, instead of [[particle]] tables (`coupler.plan.coating`). SI units.
 
-    number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
-    places that are "random" or "even" (each as far as may be from those of its layer). powder: tables [[coating.powder]] of a blend;
-    each has the keys of PowderTable that it leaves out from [coating].
+    number: of particles, the same in each of `layers`; radius (m): of the disc about the axis for their centres; positions: "random",
+    or "even" (far from the other positions of the layer). powder: tables [[coating.powder]] of a blend; their default values are those
+    of [coating].
     """
 
     number: StrictInt = Field(ge=1, le=500)
@@ -316,7 +302,7 @@ class Coating(_WithDwell, PowderTable):
     def _adds_up(self) -> Self:
         if self.powder is not None and len(self.powder) < 2:
             raise ValueError(
-                "needs two tables [[coating.powder]] or more, or none: the keys of one powder stand in [coating]"
+                "needs two tables [[coating.powder]] or more, or none: one powder has its keys in [coating]"
             )
         if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
             raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
@@ -333,7 +319,7 @@ class Coating(_WithDwell, PowderTable):
 
 
 def _completed(table: object, common: dict[str, object]) -> object:
-    """A table [[coating.powder]] with what it leaves out; diameter and sizes take the place of each other."""
+    """A table [[coating.powder]] with its missing keys from [coating]. diameter and sizes replace each other."""
     if not isinstance(table, dict):
         return table
     sized = {"diameter", "spread", "sizes"} if {"diameter", "sizes"} & table.keys() else set()
@@ -341,10 +327,10 @@ def _completed(table: object, common: dict[str, object]) -> object:
 
 
 class GasConditions(Section):
-    """Gas and nozzle of the spray: they give the velocity and temperature that the scene leaves out. SI units.
+    """Gas and nozzle of the spray. They give the velocity and temperature of particles for which the scene has no values. SI units.
 
-    pressure, temperature: total, before the nozzle. nozzle: of the library or of [nozzles.NAME]. standoff: from there to
-    the target. ambient: pressure outside. powder_temperature: when fed. drag: a law of `coupler.spray.flight`.
+    pressure, temperature: total values before the nozzle. nozzle: a name of the library or of [nozzles.NAME]. standoff: from nozzle to
+    target. ambient: pressure outside. powder_temperature: at the feed. drag: a law of `coupler.spray.flight`.
     """
 
     kind: Literal["N2", "He", "air"] = "N2"
@@ -364,9 +350,9 @@ class GasConditions(Section):
 
 
 class Track(Section):
-    """The stream of powder over the target. SI units; the defaults are usual conditions.
+    """The motion of the spray over the target. SI units; the defaults are usual conditions.
 
-    feed_rate: kg/s of powder; spot: diameter (m) of the place that it covers, evenly; traverse_speed: of the gun, m/s."""
+    feed_rate: of the powder, kg/s; spot: diameter of the uniform spray spot, m; traverse_speed: of the gun, m/s."""
 
     feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
     spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
@@ -374,10 +360,11 @@ class Track(Section):
 
 
 class Spray(Track):
-    """The stream of powder, which sets the time between impacts. SI units.
+    """The spray, which gives the time between impacts. SI units.
 
-    efficiency: share of the powder that the scene's particles stand for. heat_transfer (W/(m2 K)): of the jet on the surface between
-    impacts, none by default; gas_temperature (K): of the jet there, the total one of [gas] by default.
+    efficiency: fraction of the powder that the particles of the scene represent. heat_transfer: coefficient of the jet on the surface
+    between impacts, W/(m2 K), by default none; gas_temperature: of the jet on the surface, K, by default the total temperature of
+    [gas].
     """
 
     efficiency: StrictFloat = Field(default=1.0, gt=0.0, le=1.0)
@@ -386,8 +373,8 @@ class Spray(Track):
 
 
 class Substrate(Section):
-    """The target, a cylinder whose top is the surface. SI units. window: radius (m) of what is computed round each impact. roughness:
-    Sa (m) of the surface, roughness_length (m): distance in which its correlation falls to 1/e."""
+    """The target, a cylinder; its top face is the surface. SI units. window: radius (m) of the computed part round each impact.
+    roughness: Sa (m) of the surface; roughness_length (m): correlation length, at which the correlation is 1/e."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
@@ -412,7 +399,7 @@ _SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
 
 
 class PairTable(Section):
-    """Bonds between two metals, a table [[adhesion.pair]]: they replace the bonds of [adhesion] for this pair. Pa, J/m2."""
+    """Bonds between two metals, a table [[adhesion.pair]], instead of the bonds of [adhesion]. Pa, J/m2."""
 
     metals: tuple[str, str]
     strength: Annotated[float | None, _Stress] = None
@@ -422,9 +409,8 @@ class PairTable(Section):
 
 
 class AdhesionTable(Section):
-    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Pa, J/m2; threshold in Pa, a strain or a ratio, as the criterion
-    needs it. Without kind and criterion particles are tied by their velocity over the critical one, and not at all where a metal
-    has no tensile strength."""
+    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Pa, J/m2; threshold: a pressure (Pa), a strain or a ratio, by the
+    criterion. Without kind and criterion the kind is "tied" by "velocity", or "none" if a metal has no tensile strength."""
 
     kind: Kind | None = None
     criterion: Criterion | None = None
@@ -438,7 +424,7 @@ class AdhesionTable(Section):
     @field_validator("threshold", mode="before")
     @classmethod
     def _as_the_criterion_wants(cls, value: object, info: ValidationInfo) -> float | None:
-        if "criterion" not in info.data:  # a faulty one is reported itself
+        if "criterion" not in info.data:  # a faulty criterion has its own message
             return None
         if info.data["criterion"] == "pressure":
             return _Stress.read(value)
@@ -448,8 +434,8 @@ class AdhesionTable(Section):
 
 
 class SplatTable(Section):
-    """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the
-    share of the next particle's mass by which the elements with the shortest steps may be heavier against changes of their shape."""
+    """Conversion of a particle to finite elements. element_size: m, by default the target's. mass_scaling: limit of the mass added to
+    the elements with the shortest steps, over the mass of the next particle; it resists only changes of their shape."""
 
     method: Literal["auto", "carried", "density"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
@@ -457,9 +443,9 @@ class SplatTable(Section):
 
 
 class Resolution(Section):
-    """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
-    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.particle.engine`). error: whether
-    it is measured by coarser runs (None: by `coldspray run` alone)."""
+    """Values instead of the preset's. spacing: of the points, m; element_size: smallest, m; growth: of the element size per unit of
+    distance from the impact. engine: of the particle (`coupler.particle.engine`). error: whether coarser runs measure the error; None:
+    only with `coldspray run`."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
@@ -469,9 +455,9 @@ class Resolution(Section):
 
 
 class End(Section):
-    """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
-    comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one
-    at "rest". cooling_time (s): of that cooling, in which static recovery acts; 0: none does."""
+    """End of each impact: at rest, at the greatest deformation, or `time` s after its start; with both keys at the earlier one. "cold":
+    at rest, and after the last impact all bodies cool to `ambient` (K). Default: "rest" for one particle, "cold" for several.
+    cooling_time (s): of this cooling, for static recovery; 0: no recovery."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
@@ -480,7 +466,7 @@ class End(Section):
 
 
 class Output(Section):
-    """at: of each impact all its steps, or its end alone; every: simulated time (s) between two steps."""
+    """Output of fields. at: all steps of each impact, or only its end; every: simulated time (s) between two steps."""
 
     at: Literal["steps", "ends"] = "steps"
     every: Annotated[float | None, Quantity("ns", "0.001 ns", "1000000 ns")] = None

@@ -1,4 +1,4 @@
-"""A scene as TOML: with its defaults written out, with the comments of its file, with keys set on the command line."""
+"""A scene as TOML: with its default values, with the comments of its file, with keys set on the command line."""
 
 import json
 import re
@@ -23,10 +23,8 @@ _DERIVED = re.compile(r"^# \w+ = .*\(from: .*\)\n", re.MULTILINE)  # written by 
 
 
 def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str]]) -> str:
-    """The scene as TOML with its defaults written out.
-
-    derived(heading, table): of the fields that a table leaves out, the value that takes their place; comments in the text.
-    """
+    """The scene as TOML with its default values. derived(heading, table): values of fields that the table does not have, by name; the
+    text has them as comments."""
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
     lines += [f'strength = "{scene.strength}"'] if scene.strength else []
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
@@ -35,9 +33,11 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     for head, table in tables:
         lines += ["", head]
         if head == "[gas]":
-            lines.append("# has an effect again once the particle's velocity and temperature are deleted")
+            lines.append("# has no effect while the particle has velocity and temperature: delete them to use it")
         if head == "[coating]":
-            lines.append("# has an effect again once the tables [[particle]] are deleted: they are made of it")
+            lines.append(
+                "# has no effect while there are tables [[particle]], which were made of it: delete them to use it"
+            )
         defaults = derived(head, table)
         for field, value in table:
             if value is not None:
@@ -52,7 +52,7 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
 
 
 def completed(text: str, full: str) -> str:
-    """The text of a scene with its own order and comments, and all keys and comments of `full` that it lacks: no library."""
+    """The text of a scene in its order and with its comments, and with all missing keys and comments of `full`; without `library`."""
     document = tomlkit.parse(_DERIVED.sub("", text))
     document.pop("library", None)
     _fill(document, tomlkit.parse(full))
@@ -60,7 +60,7 @@ def completed(text: str, full: str) -> str:
 
 
 def _fill(own: Container, full: Container) -> None:
-    """Add what a table lacks, before the empty lines at its end."""
+    """Add the keys and comments that a table does not have, before the empty lines at its end."""
     spaces = []
     while own.body and isinstance(own.body[-1][1], Whitespace):
         spaces.append(own.body.pop())
@@ -82,9 +82,9 @@ def _fill(own: Container, full: Container) -> None:
 
 
 def changed(text: str, settings: Settings) -> str:
-    """The text of a scene with keys set as `--set` says; all else, comments too, as it is. The text is valid TOML.
+    """The text of a scene, valid TOML, with keys set by `--set`; the rest of the text, with its comments, does not change.
 
-    Raises ValueError for a key that cannot be set, with the reason.
+    Raises ValueError with the reason for a key that cannot be set.
     """
     document = tomlkit.parse(text)
     for key, value in settings:
@@ -93,14 +93,14 @@ def changed(text: str, settings: Settings) -> str:
         except ValueError as error:
             raise ValueError(f"--set {error}") from None
     written, meant = document.as_string(), document.unwrap()
-    # where the file has dotted keys, tomlkit can write a plain key into the table that is set before it
+    # in a file with dotted keys tomlkit can write a plain key into the wrong table
     return written if tomllib.loads(written) == meant else tomlkit.dumps(meant)
 
 
 def set_key(table: Any, key: str, value: object) -> None:
-    """Set a key of a scene, of nested dicts or a document of tomlkit, such as "particle[2].velocity". value: None removes the key.
+    """Set a key such as "particle[2].velocity" of a scene, which is nested dicts or a document of tomlkit. value: None removes the key.
 
-    Raises ValueError for a key that leads nowhere.
+    Raises ValueError with the reason for a key that cannot be set.
     """
     steps = _STEP.findall(key)
     if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith(".") or steps[-1][1]:
@@ -128,7 +128,7 @@ def set_key(table: Any, key: str, value: object) -> None:
 
 
 def _value(text: str) -> Any:
-    """A value as TOML has it; other text is a string, as a shell takes the quotation marks away."""
+    """A TOML value from text; any other text is a string, because shells remove quotation marks."""
     try:
         return tomlkit.value(text.strip())
     except (TOMLKitError, ValueError, RecursionError):
@@ -142,7 +142,7 @@ def _inline(table: Section) -> str:
 
 
 def _written(table: Section, field: str, value: Any) -> str:
-    """A value as the scene says it."""
+    """A value as text of the scene, in the unit of its field."""
     by_size = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize)), None)
     if by_size is not None:
         pairs = [[units.show(size, "um"), units.show(number, by_size.of.unit)] for size, number in value]

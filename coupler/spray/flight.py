@@ -1,6 +1,6 @@
-"""Flight of a particle from the powder feed to the target, dragged and heated by the gas of `coupler.spray.gas`.
+"""Flight of particles from the powder feed to the target, with drag and heat transfer from the gas of `coupler.spray.gas`.
 
-It is a sphere of one temperature, alone on the axis; how good that is, is in docs/guide/gas.md. Many sizes fly in one integration.
+A particle is a single sphere of uniform temperature on the axis; docs/guide/gas.md has the accuracy. One integration is for all sizes.
 """
 
 import math
@@ -14,16 +14,16 @@ from ..errors import ColdsprayError
 from ..physics.materials import Material
 from .gas import T_AMBIENT, Flow, Gas, Piece, State
 
-NEAR_MELTING = 0.9  # of the melting point, K over K
+NEAR_MELTING = 0.9  # temperature over melting point, K over K
 Numbers = float | NDArray[np.float64]
 # (Re, M, T_particle / T_gas, gamma) -> coefficient
 Drag = Callable[[Numbers, Numbers, Numbers, float], NDArray[np.float64]]
 
 
 def henderson(Re: Numbers, M: Numbers, theta: Numbers, gamma: float) -> NDArray[np.float64]:
-    """Drag coefficient of a sphere, from creeping to free-molecular flow, M < 6.
+    """Drag coefficient of a sphere, from creeping to free-molecular flow, M < 6: Henderson (1976), AIAA J. 14, 707.
 
-    Re, M: of the relative motion; theta: temperature of the sphere over the gas temperature. Henderson (1976), AIAA J. 14, 707.
+    Re, M: of the relative motion; theta: temperature of the sphere over temperature of the gas.
     """
     slow, fast = _subsonic(Re, np.minimum(M, 1.0), theta, gamma), _supersonic(Re, np.maximum(M, 1.75), theta, gamma)
     return slow + np.clip(4 / 3 * (M - 1), 0.0, 1.0) * (fast - slow)
@@ -54,16 +54,16 @@ DRAG_LAWS: dict[str, Drag] = {"henderson": henderson, "carlson-hoglund": carlson
 
 
 def nusselt(Re: Numbers, M: Numbers, Pr: float) -> NDArray[np.float64]:
-    """Nusselt number of a sphere: Ranz & Marshall (1952), lowered for rarefaction and Mach number as by Kavanau (1955) in
-    the form of Carlson & Hoglund (1964). The temperature that drives the heat is then the recovery temperature."""
+    """Nusselt number of a sphere: Ranz & Marshall (1952), with the reduction for rarefaction and Mach number of Kavanau (1955) in the
+    form of Carlson & Hoglund (1964). The heat flows from the recovery temperature of the gas."""
     continuum = 2 + 0.6 * np.sqrt(Re) * Pr ** (1 / 3)
     return continuum / (1 + 3.42 * M / (Re * Pr) * continuum)
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Flight of a particle to the target: at positions x (m), arrays (n,), the velocities of gas and particle u, v (m/s),
-    their temperatures T_gas, T (K) and the time t (s) since it was fed."""
+    """Flight of a particle to the target, arrays (n,): position x (m), velocities u of the gas and v of the particle (m/s), their
+    temperatures T_gas and T (K), time t (s) since the feed."""
 
     x: NDArray[np.float64]
     u: NDArray[np.float64]
@@ -86,9 +86,8 @@ class Flight:
 def melting(
     material: Material, diameter: Sequence[float], hottest: Sequence[float], impact: Sequence[float]
 ) -> list[str]:
-    """Notes on particles that melt in flight or, where none does, that arrive near their melting point.
-
-    diameter: m; hottest, impact: K, the highest temperature in flight and the temperature at impact."""
+    """Notes on particles that melt in flight or, if there are none, that arrive near their melting point. diameter: m; hottest, impact:
+    highest temperature in flight and temperature at impact, K."""
     near = NEAR_MELTING * material.T_m
     for temperature, limit, text in (
         (hottest, material.T_m, f"reach the melting point ({material.T_m:.0f} K) in flight: melt is not modelled"),
@@ -104,8 +103,8 @@ def melting(
 def fly_together(
     flow: Flow, material: Material, diameters: Sequence[float], T_feed: float = T_AMBIENT, drag: Drag = henderson
 ) -> list[Flight]:
-    """Flights of spheres (diameters m) from the feed to the target, with drag and heat transfer. They start at T_feed (K) with the
-    gas velocity at the nozzle's inlet. Raises ColdsprayError if a sphere does not reach the target."""
+    """Flights of spheres (diameters m) from the feed to the target. They start at T_feed (K) with the velocity of the gas at the inlet
+    of the nozzle. Raises ColdsprayError if a flight cannot be computed."""
     v_feed = flow.inside(-flow.nozzle.converging).u
     given, c_p = np.transpose(material.cp)
 
@@ -126,19 +125,19 @@ def integrate(
     drag: Drag = henderson,
     points: int = 80,
 ) -> list[Flight]:
-    """Integrate the motion and the temperature, uniform in it, of each of some spheres along the axis.
+    """Integrate the motion and the uniform temperature of spheres along the axis.
 
         m v dv/dx = C_D rho_gas |u - v| (u - v) pi D^2 / 8,    m cp v dT/dx = Nu k pi D (T_r - T)
 
     rho kg/m^3, cp(T) J/(kg K), diameters D m: of the spheres; v m/s, T K: at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2):
-    the recovery temperature (White, Viscous Fluid Flow, 1991). points: stored in each piece. All spheres take the same steps in x, and
-    the solver holds each of them to its tolerance.
+    recovery temperature (White, Viscous Fluid Flow, 1991). points: number of stored points in each piece. All spheres have the same
+    steps in x, and each satisfies the tolerance of the solver.
     """
     from scipy.integrate import solve_ivp
 
     D = np.asarray(diameters, np.float64)
     columns = []
-    y = np.tile([v, T, 0.0], len(D))  # of one sphere after another: each depends on itself alone
+    y = np.tile([v, T, 0.0], len(D))  # sphere by sphere; the spheres are independent
     for start, stop, state in pieces:
 
         def slope(x: float, y: NDArray[np.float64], state: Callable[[float], State] = state) -> NDArray[np.float64]:
@@ -151,7 +150,7 @@ def integrate(
             heat = 6 * nusselt(Re, M, gas.Pr) * gas.conductivity(T_gas) * (T_r - T) / (rho * cp(T) * D**2)
             return np.stack([push / v, heat / v, 1 / v], axis=1).ravel()
 
-        # closer together at both ends, where the gas changes fastest: throat and shock
+        # finer at both ends, where the gas changes fastest: throat and shock
         xs = start + (stop - start) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, points)))
         xs[0], xs[-1] = start, stop
         atol = np.tile([1e-6, 1e-6, 1e-12], len(D))

@@ -1,7 +1,7 @@
-"""The gas of cold spray: one-dimensional flow through a de Laval nozzle, into a free jet, up to the target.
+"""The gas of cold spray: one-dimensional flow through a de Laval nozzle and a free jet to the target.
 
-The flow in the nozzle is isentropic and chokes in the throat; nothing acts back on it. Positions x in m along the axis, 0 in
-the throat. What this leaves out, and what it comes to, is in docs/guide/gas.md.
+The flow in the nozzle is isentropic and sonic in the throat; the particles have no effect on it. x: position along the axis, m, 0 in
+the throat. docs/guide/gas.md has the neglected effects and their size.
 """
 
 import math
@@ -15,13 +15,13 @@ from .nozzles import Nozzle
 
 R_MOLAR = 8.314462618  # J/(mol K)
 T_AMBIENT = 293.15  # K, of the air around the jet
-SEPARATES = 0.4  # Summerfield, Foster & Swan (1954): flow leaves the wall where p falls below this part of the ambient
+SEPARATES = 0.4  # p over ambient pressure at which the flow separates: Summerfield, Foster & Swan (1954)
 
 
 @dataclass(frozen=True)
 class Gas:
-    """A calorically perfect gas. molar_mass kg/mol; gamma; Pr; viscosity mu_ref (Pa s) at T_ref (K), then by Sutherland's
-    law with S (K), or as T^n where S is None."""
+    """A calorically perfect gas. molar_mass kg/mol; gamma: ratio of specific heats; Pr: Prandtl number; mu_ref: viscosity (Pa s) at
+    T_ref (K), with Sutherland's constant S (K), or proportional to T^n if S is None."""
 
     name: str
     molar_mass: float
@@ -34,23 +34,23 @@ class Gas:
 
     @property
     def R(self) -> float:
-        """J/(kg K)."""
+        """Specific gas constant, J/(kg K)."""
         return R_MOLAR / self.molar_mass
 
     @property
     def cp(self) -> float:
-        """J/(kg K)."""
+        """Specific heat, J/(kg K)."""
         return self.gamma / (self.gamma - 1) * self.R
 
     def viscosity(self, T: float) -> float:
-        """Pa s, at T (K)."""
+        """Viscosity, Pa s, at T (K)."""
         theta = T / self.T_ref
         if self.S is None:
             return self.mu_ref * theta**self.n
         return self.mu_ref * theta**1.5 * (self.T_ref + self.S) / (T + self.S)
 
     def conductivity(self, T: float) -> float:
-        """W/(m K), at T (K): mu cp / Pr."""
+        """Conductivity, W/(m K), at T (K): mu cp / Pr."""
         return self.viscosity(T) * self.cp / self.Pr
 
     def sound(self, T: float) -> float:
@@ -58,7 +58,7 @@ class Gas:
         return math.sqrt(self.gamma * self.R * T)
 
 
-# White, Viscous Fluid Flow (1991), tables 1-2 and A: viscosity; Pr near 300 K. Helium follows the power law better.
+# White, Viscous Fluid Flow (1991), tables 1-2 and A: viscosity; Pr near 300 K. The power law is more accurate for helium.
 GASES = {
     "N2": Gas("N2", 28.0134e-3, 1.4, 0.72, 1.663e-5, 273.0, 107.0),
     "He": Gas("He", 4.0026e-3, 5 / 3, 0.68, 1.865e-5, 273.0, None, 0.666),
@@ -80,15 +80,15 @@ def pressure_ratio(M: float, gamma: float) -> float:
 
 
 def area_ratio(M: float, gamma: float) -> float:
-    """Area over the throat's area at which the flow has Mach number M."""
+    """Area over area of the throat at Mach number M."""
     return (2 / (gamma + 1) * temperature_ratio(M, gamma)) ** ((gamma + 1) / (2 * (gamma - 1))) / M
 
 
 def mach(ratio: float, gamma: float, supersonic: bool) -> float:
-    """Mach number where the area is `ratio` times the throat's area: the inverse of `area_ratio` on one of its branches.
+    """Mach number at the area `ratio` over the area of the throat: the inverse of `area_ratio` on its subsonic or supersonic branch.
 
-    ratio: at least 1. Raises ColdsprayError below. Newton's method on the root of log(area), which is nearly straight
-    where the area itself has its minimum; it starts on the side from which it cannot overshoot.
+    Raises ColdsprayError if ratio is below 1. Newton's method for the square root of log(area), which is nearly linear at the minimum
+    of the area; the start value is on the side without overshoot.
     """
     if ratio < 1:
         raise ColdsprayError(
@@ -109,7 +109,7 @@ def mach(ratio: float, gamma: float, supersonic: bool) -> float:
 
 
 def normal_shock(M: float, gamma: float) -> tuple[float, float]:
-    """Mach number behind a normal shock, and the pressure behind it over that before. M: before, at least 1."""
+    """Mach number behind a normal shock, and pressure behind it over pressure before it. M: before the shock, at least 1."""
     behind = math.sqrt(temperature_ratio(M, gamma) / (gamma * M**2 - (gamma - 1) / 2))
     return behind, 1 + 2 * gamma / (gamma + 1) * (M**2 - 1)
 
@@ -118,7 +118,7 @@ def normal_shock(M: float, gamma: float) -> tuple[float, float]:
 
 
 class State(NamedTuple):
-    """The gas in one place: velocity m/s, temperature K, density kg/m^3."""
+    """The gas at a point: velocity u m/s, temperature T K, density rho kg/m^3."""
 
     u: float
     T: float
@@ -126,7 +126,7 @@ class State(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A stretch of the axis, m, in which the gas's state is a smooth function of x."""
+    """A part of the axis, from start to stop (m), in which the state of the gas is a smooth function of x."""
 
     start: float
     stop: float
@@ -135,11 +135,10 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Flow:
-    """Gas of total pressure p0 (Pa) and temperature T0 (K) through a nozzle into a free jet, up to a target.
+    """Flow of a gas of total pressure p0 (Pa) and total temperature T0 (K) through a nozzle and a free jet to the target.
 
-    ambient: pressure outside, Pa. standoff: from nozzle to target, m. bow_shock: whether the jet is stopped by a normal
-    shock before the target, or reaches it as if there were none.
-    Raises ColdsprayError if the nozzle does not run full of supersonic flow, or if the shock would reach into it.
+    standoff: from nozzle to target, m. ambient: pressure outside, Pa. bow_shock: whether a normal shock before the target stops the
+    jet. Raises ColdsprayError if a shock would be inside the nozzle, or the bow shock too close to it.
     """
 
     gas: Gas
@@ -174,18 +173,18 @@ class Flow:
 
     @cached_property
     def least_pressure(self) -> float:
-        """The total pressure, Pa, at which a normal shock would stand right in the exit."""
+        """The total pressure, Pa, at which a normal shock stands in the exit."""
         g = self.gas.gamma
         return self.ambient * pressure_ratio(self.exit_mach, g) / normal_shock(self.exit_mach, g)[1]
 
     @cached_property
     def mass_flow(self) -> float:
-        """Mass flow of the choked throat, kg/s."""
+        """Mass flow through the sonic throat, kg/s."""
         throat = self._expanded(1.0)
         return throat.rho * throat.u * math.pi / 4 * self.nozzle.throat**2
 
     def inside(self, x: float) -> State:
-        """The gas in the nozzle: isentropic from p0, T0."""
+        """The gas in the nozzle at x (m): isentropic from p0, T0."""
         return self._expanded(mach(self.nozzle.area_ratio(x), self.gas.gamma, x > 0))
 
     def _expanded(self, M: float) -> State:
@@ -195,10 +194,10 @@ class Flow:
 
     @cached_property
     def jet(self) -> State:
-        """The jet once it has the ambient pressure: mass, momentum and energy of the exit.
+        """The jet at ambient pressure, with the mass, momentum and energy of the exit.
 
-        Yuceil & Otugen (2002), Phys. Fluids 14, 4206, for under-expanded jets; used here for over-expanded ones too, where it
-        ends, as it must, in the state behind a normal shock once that stands in the exit.
+        Yuceil & Otugen (2002), Phys. Fluids 14, 4206, for under-expanded jets. It is used here also for over-expanded jets; with a
+        normal shock in the exit it gives the state behind this shock.
         """
         exit_ = self.inside(self.nozzle.end)
         u = exit_.u + (self.exit_pressure - self.ambient) / (exit_.rho * exit_.u)
@@ -207,7 +206,7 @@ class Flow:
 
     @cached_property
     def jet_diameter(self) -> float:
-        """Diameter of a jet with the nozzle's mass flow in the state `jet`, m."""
+        """Diameter of the jet in the state `jet`, m."""
         return math.sqrt(4 / math.pi * self.mass_flow / (self.jet.rho * self.jet.u))
 
     @cached_property
@@ -216,8 +215,8 @@ class Flow:
         return self.jet_diameter * (4.2 + 1.1 * (self.jet.u / self.gas.sound(self.jet.T)) ** 2)
 
     def outside(self, x: float) -> State:
-        """The gas on the axis of the free jet: constant in the core, then Lau, Morris & Fisher's decay; the total
-        temperature mixes as the velocity does (Crocco-Busemann). The density is the density of the gas, not of a mixture."""
+        """The gas on the axis of the free jet at x (m): constant in the core, then the decay of Lau, Morris & Fisher. The total
+        temperature depends linearly on the velocity (Crocco-Busemann). The density is that of the pure gas, not of a mixture."""
         s = (x - self.nozzle.end) / self.core
         share = 1 - math.exp(1.35 / (1 - s)) if s > 1 else 1.0
         u = share * self.jet.u
@@ -226,10 +225,10 @@ class Flow:
 
     @cached_property
     def layer(self) -> float:
-        """Distance of the bow shock from the target, m; 0 without one.
+        """Distance of the bow shock from the target, m; 0 without a bow shock.
 
-        The mass that enters a disk of the jet's size leaves over its rim at the speed of sound, as in the continuity argument of
-        Moeckel (1949), NACA TN 1921, for a layer of constant thickness: an estimate.
+        An estimate by continuity, as in Moeckel (1949), NACA TN 1921, for a layer of constant thickness: the mass of the jet leaves the
+        layer over its rim at the speed of sound.
         """
         before = self.outside(self.target)
         M = before.u / self.gas.sound(before.T)
@@ -242,7 +241,7 @@ class Flow:
         return diameter / 4 * before.rho * before.u / (sonic * a)
 
     def _behind_shock(self, before: State) -> tuple[float, float]:
-        """Velocity behind a normal shock, m/s, and the density the gas has when it then comes to rest, kg/m^3."""
+        """Velocity behind a normal shock, m/s, and density of this gas after it has come to rest, kg/m^3."""
         g, M = self.gas.gamma, before.u / self.gas.sound(before.T)
         M2, p2 = normal_shock(M, g)
         rest = before.rho * before.T * p2 * pressure_ratio(M2, g)  # p / R
@@ -251,7 +250,7 @@ class Flow:
         return u2, rest / total
 
     def stopped(self, x: float) -> State:
-        """The gas between bow shock and target: its velocity falls linearly to nothing, without loss."""
+        """The gas between bow shock and target at x (m): its velocity decreases linearly to zero, without loss."""
         before = self.outside(self.target)
         u2, rest = self._behind_shock(before)
         u = u2 * (self.target - x) / self.layer
@@ -266,7 +265,7 @@ class Flow:
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
-        """The axis from where the powder is fed to the target."""
+        """The parts of the axis from the powder feed to the target."""
         nozzle, shock = self.nozzle, self.target - self.layer
         inside = [x for x in nozzle.corners if x > nozzle.feed]
         sections = [Piece(a, b, self.inside) for a, b in zip([nozzle.feed, *inside], inside, strict=False)]
@@ -275,7 +274,7 @@ class Flow:
 
     @property
     def notes(self) -> list[str]:
-        """Limits of validity of this flow, as sentences."""
+        """Notes on limits of validity of this flow."""
         notes, end = [], self.exit_pressure / self.ambient
         if end < SEPARATES:
             notes.append(

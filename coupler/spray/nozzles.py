@@ -1,6 +1,6 @@
-"""De Laval nozzles: their lengths and diameters, with where they come from and what of them is assumed.
+"""De Laval nozzles: lengths and diameters, their sources, and which values are assumed.
 
-The library is `nozzles.toml`; a scene or a file of one's own may add others in the same form.
+The library is `nozzles.toml`; a scene or a file of the user may add nozzles in the same form.
 """
 
 from collections.abc import Mapping
@@ -26,9 +26,9 @@ _DEFAULTS: dict[str, object] = {"barrel": 0.0, "chamber": 0.0, "injection": None
 
 @dataclass(frozen=True)
 class Nozzle:
-    """A nozzle of circular section, m. inlet, throat, exit: diameters, a cone between each and the next; converging,
-    diverging: lengths of the cones; chamber: a straight part before them, barrel: one behind. injection: where the powder is
-    fed, from the throat (upstream negative); None: at the very start. assumed: which of these lengths are not known."""
+    """A nozzle of circular section, lengths in m. inlet, throat, exit: diameters; converging, diverging: lengths of the cones between
+    them; chamber, barrel: lengths of the cylinders before and behind the cones. injection: position of the powder feed from the throat
+    (upstream negative), None: at the inlet of the chamber. assumed: names of the unknown lengths."""
 
     name: str
     inlet: float
@@ -49,16 +49,16 @@ class Nozzle:
 
     @property
     def feed(self) -> float:
-        """Position where the powder is fed, m from the throat."""
+        """Position of the powder feed, m from the throat."""
         return -self.converging - self.chamber if self.injection is None else self.injection
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """Positions where one part ends, m from the throat, in order; the last is the exit."""
+        """Positions of the ends of the parts, m from the throat, in order; the last is the exit."""
         return (-self.converging, 0.0, self.diverging) + ((self.end,) if self.barrel else ())
 
     def area_ratio(self, x: float) -> float:
-        """Area at x (m from the throat) over the throat's area."""
+        """Area at x (m from the throat) over area of the throat."""
         if x < 0:
             d = self.throat + min(-x / self.converging, 1.0) * (self.inlet - self.throat)
         else:
@@ -68,7 +68,7 @@ class Nozzle:
 
 @cache
 def library() -> dict[str, Nozzle]:
-    """The nozzles that come with the program, by name; not to be changed."""
+    """The nozzles of the library, by name. Read only."""
     return records.load(__package__, "nozzles.toml", from_table)
 
 
@@ -77,8 +77,8 @@ def unknown(name: str, known: Mapping[str, object]) -> str:
     return f"unknown nozzle{units.nearest(name, known)}; known: {', '.join(known)}"
 
 
-def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[str]]:
-    """The library with the nozzles of [nozzles.NAME] tables added. Returns (nozzles by name, problems)."""
+def from_tables(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Nozzle], list[str]]:
+    """The nozzles of the library and of [nozzles.NAME] tables. Returns (nozzles by name, problems)."""
     known, problems = dict(library()), []
     for name, table in tables.items():
         try:
@@ -88,10 +88,8 @@ def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[s
     return known, problems
 
 
-def from_table(name: str, table: object) -> Nozzle:
-    """Make a nozzle from lengths with units. Raises SceneError with every problem, each beginning with the field at fault."""
-    if not isinstance(table, Mapping):
-        raise SceneError([f"expected a table of lengths, such as [nozzles.{name}] with throat and exit"], name)
+def from_table(name: str, table: Mapping[str, object]) -> Nozzle:
+    """A nozzle from lengths with units. Raises SceneError with all problems; each begins with the name of the field."""
     nozzle = records.read_record(Nozzle, name, table, _read, _DEFAULTS)
     problems = []
     for key, width in {"inlet": nozzle.inlet, "exit": nozzle.exit}.items():

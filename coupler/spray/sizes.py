@@ -1,36 +1,37 @@
-"""Sizes of a powder: the diameters below which shares of its mass are."""
+"""Size distribution of a powder: cumulative mass fractions by diameter."""
 
 from collections.abc import Sequence
 from math import exp, log
 from statistics import NormalDist
 from typing import NamedTuple
 
-SIEVED = 0.05  # of the mass, below and above a sieve range: what suppliers allow on either side
+SIEVED = 0.05  # mass fraction below a sieve range, and above it, as suppliers allow
 
 _NORMAL = NormalDist()
 
 
 class Sizes(NamedTuple):
-    """share, diameter (n,), both ascending, n >= 2: below each diameter (m) is this share of the mass, 0 < share < 1. Between them, and
-    beyond the first and the last, the logarithm of the diameter is linear in the quantile of the normal distribution: log-normal."""
+    """A size distribution. share (n,): mass fraction, 0 to 1 exclusive, of the particles smaller than the diameter known (n,) m. Both
+    ascending, n >= 2. The logarithm of the diameter is linear in the quantile of the normal distribution between these points and
+    beyond them: log-normal."""
 
     share: tuple[float, ...]
     known: tuple[float, ...]
 
     @classmethod
     def of_quantiles(cls, d10: float, d50: float, d90: float) -> "Sizes":
-        """From the diameters (m) below which 10, 50 and 90 % of the mass are."""
+        """From the diameters D10, D50 and D90 by mass, m."""
         return cls((0.1, 0.5, 0.9), (d10, d50, d90))
 
     @classmethod
     def of_sieves(cls, smallest: float, largest: float) -> "Sizes":
-        """From a range of sieves (m), with SIEVED of the mass on either side of it."""
+        """From a range of sieves (m), with the mass fraction SIEVED below it and above it."""
         return cls((SIEVED, 1.0 - SIEVED), (smallest, largest))
 
     @classmethod
     def of_classes(cls, edges: Sequence[float], shares: Sequence[float]) -> "Sizes":
-        """From n shares, in any unit, of the mass between n + 1 ascending diameters (m). Raises ValueError where fewer than two
-        diameters have powder on both sides."""
+        """From n fractions, in any unit, of the mass between n + 1 ascending diameters (m). Raises ValueError if fewer than two
+        diameters have powder below and above."""
         whole, below = sum(shares), 0.0
         known: list[tuple[float, float]] = []
         for edge, share in zip(edges[1:], shares, strict=True):
@@ -42,7 +43,7 @@ class Sizes(NamedTuple):
         return cls(*zip(*known, strict=True))
 
     def diameter(self, share: float) -> float:
-        """Diameter, m, below which a share of the mass is, 0 < share < 1."""
+        """Diameter, m, at a cumulative mass fraction, 0 < share < 1."""
         k = min(max(sum(known <= share for known in self.share), 1), len(self.share) - 1)
         z, low, high = (_NORMAL.inv_cdf(u) for u in (share, self.share[k - 1], self.share[k]))
         a, b = log(self.known[k - 1]), log(self.known[k])

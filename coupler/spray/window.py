@@ -1,4 +1,4 @@
-"""The window of deposition: where a spray's particles lie between critical and erosion velocity, and how much of the powder stays."""
+"""The window of deposition: particle velocities over critical and erosion velocity, and the deposition efficiency."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from ..physics.materials import Material
 from .flight import Flight
 from .sizes import Sizes
 
-ERODES = "erodes"  # beside the verdicts
-OPTIMAL, EROSION = 1.5, 2.0  # velocities over the critical one: of good coatings, and from which particles erode
-FASTEST = 10.0  # velocity over the critical one, beyond which it makes no difference
+ERODES = "erodes"  # in addition to the verdicts
+OPTIMAL, EROSION = 1.5, 2.0  # velocity over critical velocity: of good coatings, and the limit of erosion
+FASTEST = 10.0  # limit of velocity over critical velocity
 CLASSES = 25  # of equal mass
-_IN_BAND = 10  # steps from the critical velocity to either end of its band
-_FINE = 2000  # shares between which velocities are interpolated
+_IN_BAND = 10  # steps from the critical velocity to an end of its band
+_FINE = 2000  # mass fractions at which velocities are interpolated
 
 
 @dataclass(frozen=True)
 class Spray:
-    """A powder at impact, in classes of equal mass (n,): share of the mass that is smaller, diameter m, velocity m/s, temperature K,
-    highest temperature in flight K of each, and the formula for each on the substrate."""
+    """A powder at impact, in classes of equal mass (n,). share: cumulative mass fraction; diameter m; velocity m/s; temperature K;
+    hottest: highest temperature in flight, K; formula: for each class on the substrate."""
 
     share: NDArray[np.float64]
     diameter: NDArray[np.float64]
@@ -34,18 +34,19 @@ class Spray:
 
     @property
     def critical(self) -> NDArray[np.float64]:
-        """Critical velocities of the powder's metal, m/s."""
+        """Critical velocities (n,) of the powder's metal, m/s."""
         return np.array([each.critical for each in self.formula], float)
 
     @property
     def ratio(self) -> NDArray[np.float64]:
-        """Velocity over critical velocity, infinite for a particle at its melting point."""
+        """Velocity over critical velocity (n,), infinite for a particle at its melting point."""
         with np.errstate(divide="ignore"):
             return self.velocity / self.critical
 
     def fates(self, factor: float = 1.0, on_substrate: bool = False) -> dict[str, float]:
-        """Shares of the mass that rebound, stick, are undecided and erode (at EROSION times the critical velocity and above): on a
-        coating of the powder's own kind, or on the substrate by the formula of both metals. factor: on the critical velocities."""
+        """Mass fractions of particles that rebound, stick, are undecided, or erode (from EROSION times the critical velocity on).
+        on_substrate: on the substrate by the formula of both metals, otherwise on a coating of the powder's metal. factor: on the
+        critical velocities."""
         fine = (np.arange(_FINE) + 0.5) / _FINE
         least = self.velocity / FASTEST  # a particle at its melting point has a critical velocity of zero
         critical = [self.critical]
@@ -59,8 +60,8 @@ class Spray:
         }
 
     def extremes(self, within: float) -> tuple[float, float]:
-        """Factors on the critical velocity, at most a share `within` from one, of the least and the greatest efficiency: where
-        particles erode, a lower one deposits less. The nearest to 1 of those with the same."""
+        """Factors on the critical velocity, from 1 - within to 1 + within, of the least and the greatest deposition efficiency. With
+        erosion a lower critical velocity can decrease the efficiency. Of equal efficiencies the factor nearest to 1 counts."""
         factors = sorted(
             (1.0, *(1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1))), key=lambda f: abs(f - 1.0)
         )
@@ -74,12 +75,11 @@ def spray(
     sizes: Sizes,
     fly: Callable[[Sequence[float]], list[Flight]],
 ) -> Spray:
-    """A powder at impact. base: of the substrate, None where it is not considered; sizes: of the powder; fly: the flights of
-    diameters (m).
+    """A powder at impact. base: metal of the substrate, None: not considered; sizes: of the powder; fly: flights of diameters (m).
 
-    Raises ColdsprayError where a particle cannot be followed or the material has no sigma_TS.
+    Raises ColdsprayError if a flight cannot be computed or the material has no sigma_TS.
     """
-    critical_velocity(material, 300.0)  # whether it has one
+    critical_velocity(material, 300.0)  # raises the error about sigma_TS
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())

@@ -17,7 +17,7 @@ from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics import shapes as morphology
 from coupler.plan.planning import plan
 from coupler.plan.text import describe
-from coupler.scene.model import SHAPES, Shape
+from coupler.scene.tables import Shape
 
 D = 25e-6
 V = np.pi / 6 * D**3
@@ -48,7 +48,7 @@ def solid_angle(at: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
 
 
 def test_the_names_are_one_list() -> None:
-    assert SHAPES == get_args(Shape) == morphology.SHAPES == tuple(morphology.ASPECT)
+    assert get_args(Shape) == morphology.SHAPES == tuple(morphology.ASPECT)
     assert morphology.ASPECT == ASPECT
 
 

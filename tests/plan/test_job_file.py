@@ -82,7 +82,7 @@ def test_shares_below_each_size_are_told_from_shares_of_classes(tmp_path: Path) 
 
 def test_numbers_of_particles_are_refused(tmp_path: Path) -> None:
     (tmp_path / "sizer.csv").write_text("size (um),Number (%)\n10,20\n20,50\n30,30\n40,0\n")
-    with pytest.raises(SceneError, match="export shares of the volume"):
+    with pytest.raises(SceneError, match="export volume fractions"):
         job_of(tmp_path, TEXT.replace('"15-45 um"', '"sizer.csv"'))
 
 

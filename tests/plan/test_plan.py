@@ -50,7 +50,9 @@ def test_the_time_limit_follows_from_what_stops_the_particle():
     strength = replace(aluminium.strength, numbers=aluminium.strength.numbers | {"A": 1e3, "B": 1e3})
     soft = replace(aluminium, strength=strength)
     slow, fast = (estimates.stopping_time((nickel, soft), (300, 300), v, 25e-6) for v in (250.0, 1000.0))
-    resistance = [estimates.HARDNESS_OVER_YIELD * estimates.flow_stress(soft, 300, v / 25e-6) for v in (250, 1000)]
+    resistance = [
+        estimates.HARDNESS_OVER_FLOW_STRESS * estimates.flow_stress(soft, 300, v / 25e-6) for v in (250, 1000)
+    ]
     for time, H in zip((slow, fast), resistance, strict=True):
         assert time == pytest.approx(math.pi / 3 * nickel.rho * 25e-6 / math.sqrt(0.5 * H * soft.rho), rel=0.01)
     usual = scene_with()
@@ -395,7 +397,7 @@ def test_a_heap_is_warned_of():
     (text,) = (text for text in heap.warnings if "heap" in text)
     across = 8.0 + 1e6 * np.mean([i.diameter for i in heap.impacts])
     high = sum(math.pi / 6 * (1e6 * i.diameter) ** 3 for i in heap.impacts) / (math.pi / 4 * across**2)
-    assert f"on a disc of {across:.3g} um make a heap some {high:.3g} um high" in text
+    assert f"on a disc of {across:.3g} um make a heap of {high:.3g} um height" in text
     assert "a larger coating.radius" in text
 
 

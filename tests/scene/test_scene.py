@@ -5,9 +5,9 @@ import pytest
 from scenes import LEAST, problems_with, scene_with, several
 
 from coupler.errors import SceneError
+from coupler.physics.shapes import SHAPES
 from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
-from coupler.scene.model import SHAPES
 
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
 CP = [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]
@@ -115,8 +115,8 @@ def test_all_problems_at_once():
         ("particle__temperature", "1700 K", "melting"),
         ("substrate__temperature", "1750 K", "melting"),
         ("particle__temperature", "20 K", "outside"),
-        ("particle__gap", "-0.1 um", "inside the target"),
-        ("particle__gap", "30 um", "more than the diameter"),
+        ("particle__gap", "-0.1 um", "is outside 0 um to 200 um"),
+        ("particle__gap", "30 um", "larger than the diameter"),
         ("particle__offset", ["90 um", "0 um"], "edge"),
         ("substrate__diameter", "70 um", "at least 75 um"),
         ("substrate__height", "40 um", "at least 50 um"),
@@ -137,7 +137,7 @@ def test_all_problems_at_once():
         ("particle", [NI, 3], "particle[2] = 3: expected a table [[particle]]"),
         ("particle", [NI, NI | {"velocity": "5 um"}], 'particle[2].velocity = "5 um" is a length'),
         ("particle", [NI, NI | {"offset": ["1 um", "2"]}], 'particle[2].offset[2] = "2" has no unit'),
-        ("particle", [NI, NI | {"offset": ["90 um", "0 um"]}], "particle[2].offset: 90 um off the axis"),
+        ("particle", [NI, NI | {"offset": ["90 um", "0 um"]}], "particle[2].offset: at 90 um from the axis"),
         ("particle__dwell", "11 s", "outside 0 s to 10 s"),
         ("particle__dwell", "-1 us", "outside 0 s to 10 s"),
         ("particle__dwell", "1 um", "is a length: needs a time"),
@@ -260,7 +260,7 @@ def test_all_problems_of_all_particles_at_once():
         "particle[3].velocty: unknown key",
         'end.at = "noon": expected one of rest, greatest',
         'particle[2].material = "Nj": unknown material',
-        "particle[3].gap: more than the diameter",
+        "particle[3].gap: larger than the diameter",
         "adhesion.strength is needed",
         "adhesion.energy is needed",
     )
@@ -289,7 +289,7 @@ def test_a_critical_velocity_needs_a_tensile_strength():
     assert problem.startswith('adhesion.criterion = "velocity": 42CrMo4 has no sigma_TS')
     assert scene_with(particle__material="42CrMo4").derived.adhesion_law.kind == "none"
     (problem,) = problems_with(particle=[NI, NI | {"material": "42CrMo4"}])
-    assert problem.startswith("adhesion: several particles need something that holds them")
+    assert problem.startswith("adhesion: several particles need a law of adhesion")
 
 
 def test_a_long_sequence_writes_no_more_than_a_scene_may():
@@ -307,7 +307,7 @@ def test_each_impact_has_its_own_times():
 def test_a_flight_past_the_edge_is_refused():
     """25 um at 80 degrees drift 25 tan(80) = 142 um; the target of 200 um has room for 75."""
     (problem,) = problems_with(particle=NI | {"angle": "80 deg", "gap": "25 um"})
-    assert "drifts 142 um" in problem
+    assert "moves 142 um" in problem
     assert "at most 75 um" in problem
     assert scene_with(particle=NI | {"angle": "70 deg", "gap": "25 um"}).particle.gap == 25e-6
 
