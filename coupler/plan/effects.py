@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
@@ -11,38 +12,42 @@ from ..physics.recovery import recovered_share
 from ..scene.effects import NAMES, WHOLE
 from .cost import STRAIN_OF_FLOW
 
+if TYPE_CHECKING:
+    from .model import ImpactPlan
+    from .reading import Scene
+
 # by default only on with bonds by exposure, whose verdicts depend on it
 GRADIENTS = "gradient_hardening"
 
 
 @dataclass(frozen=True)
 class Situation:
-    """Input data for the choice of effects of one impact, SI units. materials, temperatures: (particle, target).
+    """Input data for the choice of effects of one impact, SI units. base: metal of the substrate; side_distance: from the impact to the
+    nearest absorbing face, infinite without any; duration: longest time of this impact; end_time: sum of the durations of this and all
+    later impacts, the longest time that waves and heat travel."""
 
-    side_distance: from the impact to the nearest absorbing face, infinite without any; end_time: sum of the durations of this and all
-    later impacts, the longest time that waves and heat travel; element_size: smallest of the target; duration: of this impact alone;
-    dwell: the pause after it; bonded: whether the scene has a law of adhesion; exposed: whether bonds form by exposure and the engine
-    computes gradients of plastic strain.
-    """
-
-    materials: tuple[Material, Material]
-    temperatures: tuple[float, float]
-    velocity: float
-    diameter: float
-    friction: float
+    scene: "Scene"
+    impact: "ImpactPlan"
+    base: Material
     side_distance: float
-    end_time: float
-    element_size: float
-    spacing: float
     duration: float
-    dwell: float
-    bonded: bool
-    exposed: bool
+    end_time: float
 
-    @property
+    @cached_property
+    def velocity(self) -> float:
+        """Impact velocity, m/s."""
+        return math.hypot(*self.impact.velocity)
+
+    @cached_property
     def bodies(self) -> list[tuple[Material, float, float]]:
         """Material, temperature (K) and heating (K) of particle and target."""
-        return [(m, T, heating(m, T, self.velocity)) for m, T in zip(self.materials, self.temperatures, strict=True)]
+        both = (self.impact.material, self.impact.temperature), (self.base, self.scene.substrate.temperature)
+        return [(m, T, heating(m, T, self.velocity)) for m, T in both]
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether bonds form by exposure and the engine computes gradients of plastic strain."""
+        return self.scene.derived.adhesion_law.criterion == "exposure" and self.scene.resolution.engine != "machdyn"
 
     @cached_property
     def warm(self) -> float:
@@ -51,23 +56,24 @@ class Situation:
 
     def diffusion(self, body: int, time: float) -> float:
         """Diffusion length of heat, m, in a time (s) in the particle (body 0) or the target (body 1)."""
-        return math.sqrt(diffusivity(self.materials[body], self.temperatures[body]) * time)
+        return math.sqrt(diffusivity(*self.bodies[body][:2]) * time)
 
     @cached_property
     def in_target(self) -> float:
         """Diffusion length in the target over element size."""
-        return self.diffusion(1, self.end_time) / self.element_size
+        return self.diffusion(1, self.end_time) / self.scene.derived.element_size
 
     @cached_property
     def in_particle(self) -> float:
         """Diffusion length in the particle over spacing."""
-        return self.diffusion(0, self.duration) / self.spacing
+        return self.diffusion(0, self.duration) / self.impact.spacing
 
     def recovered(self, m: Material, T: float, heated: float) -> float:
         """Fraction of the dislocations that recover in the pause, the larger of two: at T (K) in all of the pause, or at T + heated
         during the cooling time of a splat."""
-        hot = min(self.dwell, self.diameter**2 / diffusivity(m, T))
-        return max(recovered_share(m, T, self.dwell), recovered_share(m, min(T + heated, m.T_m), hot))
+        pause = self.impact.dwell
+        hot = min(pause, self.impact.diameter**2 / diffusivity(m, T))
+        return max(recovered_share(m, T, pause), recovered_share(m, min(T + heated, m.T_m), hot))
 
     def of_both(self, number: Callable[[Material, float, float], float]) -> float:
         """The larger value, of the two bodies, of a function of material, temperature (K) and heating (K)."""
@@ -75,11 +81,11 @@ class Situation:
 
     def flow_stress(self, m: Material, T: float) -> float:
         """Flow stress at the rate of the impact and at T (K), at most at T_ref, Pa."""
-        return m.flow_stress(STRAIN_OF_FLOW, self.velocity / self.diameter, min(T, m.T_ref))
+        return m.flow_stress(STRAIN_OF_FLOW, self.velocity / self.impact.diameter, min(T, m.T_ref))
 
     def gradient_stress(self, m: Material) -> float:
         """Stress of the dislocations due to a gradient of plastic strain of 10 / diameter, Pa."""
-        return stress_of_gradient(m.forest, m.gradient_length, 10.0 / self.diameter)
+        return stress_of_gradient(m.forest, m.gradient_length, 10.0 / self.impact.diameter)
 
 
 @dataclass(frozen=True)
@@ -117,8 +123,8 @@ EFFECTS = (
         "temperature_dependent_k", "change of k x diffusion length / size",
         lambda s: s.of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)) * max(s.in_target, s.in_particle),
     ),
-    Effect("friction", "friction coefficient", lambda s: s.friction),
-    Effect("friction_heat", "friction x heating / (T_m - T)", lambda s: s.friction * s.warm),
+    Effect("friction", "friction coefficient", lambda s: s.scene.contact.friction),
+    Effect("friction_heat", "friction x heating / (T_m - T)", lambda s: s.scene.contact.friction * s.warm),
     Effect(
         "dissipation_heat", "heating / T, 0 if it could melt",  # in melt this heat accelerates the points without limit
         lambda s: 0.0 if s.of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0 else s.of_both(lambda _, T, dT: dT / T),
@@ -128,18 +134,21 @@ EFFECTS = (
         "thermal_expansion", "Gamma0 rho cp heating / K",
         lambda s: s.of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
     ),
-    Effect("adhesion", "splats that the scene bonds", lambda s: float(s.bonded)),
+    Effect("adhesion", "splats that the scene bonds", lambda s: float(s.scene.derived.adhesion_law.kind != "none")),
     Effect(
         "absorbing_boundaries", "time / wave's way to the side and back",
-        lambda s: s.end_time * s.materials[1].wave_speed / (2 * s.side_distance), 1.0,
+        lambda s: s.end_time * s.base.wave_speed / (2 * s.side_distance), 1.0,
     ),
     Effect("conduction", "sqrt(alpha time) / size x warming", lambda s: s.in_target * s.warm, 0.05),
     Effect("particle_conduction", "sqrt(alpha time) / spacing", lambda s: s.in_particle, 0.1),
     Effect(
         "interface_conduction", "sqrt(alpha time) / size, both",  # the side with less diffusion limits the heat flow
-        lambda s: min(s.diffusion(1, s.duration) / s.element_size, s.in_particle), 0.15,
+        lambda s: min(s.diffusion(1, s.duration) / s.scene.derived.element_size, s.in_particle), 0.15,
     ),
-    Effect("cooling", "sqrt(alpha dwell) / diameter", lambda s: max(s.diffusion(k, s.dwell) for k in (0, 1)) / s.diameter, 0.05),
+    Effect(
+        "cooling", "sqrt(alpha dwell) / diameter",
+        lambda s: max(s.diffusion(k, s.impact.dwell) for k in (0, 1)) / s.impact.diameter, 0.05,
+    ),
     Effect("recovery", "dislocations that recover in a pause", lambda s: s.of_both(s.recovered), 0.01),
 )  # fmt: skip
 
@@ -177,7 +186,7 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
     """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene sets,
     True if on."""
-    exposed = any(situation.exposed for situation in situations)
+    exposed = any(situation.is_exposed for situation in situations)
 
     def of(effect: Effect) -> Decision:
         value = max(map(effect.value, situations))

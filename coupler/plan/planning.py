@@ -166,22 +166,7 @@ def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> 
     usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
     situations, left = [], sum(usual)
     for impact, duration in zip(impacts, usual, strict=True):
-        situations.append(
-            Situation(
-                materials=(impact.material, base),
-                temperatures=(impact.temperature, scene.substrate.temperature),
-                velocity=math.hypot(*impact.velocity),
-                diameter=impact.diameter,
-                friction=scene.contact.friction,
-                side_distance=absorbing_distance(scene, impact.offset),
-                end_time=left,
-                element_size=scene.derived.element_size,
-                spacing=impact.spacing,
-                duration=duration,
-                dwell=impact.dwell,
-                bonded=scene.derived.adhesion_law.kind != "none",
-                exposed=scene.derived.adhesion_law.criterion == "exposure" and scene.resolution.engine != "machdyn",
-            )
-        )
+        distance = absorbing_distance(scene, impact.offset)
+        situations.append(Situation(scene, impact, base, distance, duration, left))
         left -= duration
     return situations
