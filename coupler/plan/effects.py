@@ -4,17 +4,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
 from ..physics.recovery import recovered_share
 from ..scene.effects import NAMES, WHOLE
 from .cost import STRAIN_OF_FLOW
-
-if TYPE_CHECKING:
-    from .model import ImpactPlan
-    from .reading import Scene
+from .model import Decision, ImpactPlan
+from .reading import Scene
 
 # by default only on with bonds by exposure, whose verdicts depend on it
 GRADIENTS = "gradient_hardening"
@@ -26,8 +23,8 @@ class Situation:
     nearest absorbing face, infinite without any; duration: longest time of this impact; end_time: sum of the durations of this and all
     later impacts, the longest time that waves and heat travel."""
 
-    scene: "Scene"
-    impact: "ImpactPlan"
+    scene: Scene
+    impact: ImpactPlan
     base: Material
     side_distance: float
     duration: float
@@ -151,17 +148,6 @@ EFFECTS = (
     ),
     Effect("recovery", "dislocations that recover in a pause", lambda s: s.of_both(s.recovered), 0.01),
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Decision:
-    """The decision about one effect. number: name of its value; on: True if the effect is on; why: the reason."""
-
-    name: str
-    number: str
-    value: float
-    on: bool
-    why: str
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:

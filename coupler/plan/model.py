@@ -9,7 +9,6 @@ from ..physics.materials import Material
 from ..scene.effects import Effects
 from ..scene.tables import Face
 from .batches import Batch, Landing, batches_of
-from .effects import Decision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +86,17 @@ class SolidPlan:
 
     points: list[list[float]]
     triangles: list[list[int]]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The decision about one effect. number: name of its value; on: True if the effect is on; why: the reason."""
+
+    name: str
+    number: str
+    value: float
+    on: bool
+    why: str
 
 
 @dataclass(frozen=True)

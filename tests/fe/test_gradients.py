@@ -25,7 +25,7 @@ from coupler.physics import constitutive
 from coupler.physics.dislocations import NYE_FACTOR
 from coupler.physics.materials import Material, from_table, material
 from coupler.plan.cost import STRAIN_OF_FLOW
-from coupler.plan.effects import Decision
+from coupler.plan.model import Decision
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 

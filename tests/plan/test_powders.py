@@ -112,6 +112,7 @@ def test_what_is_wrong_with_a_blend_is_named_by_its_key(before: str, after: str,
 def test_a_powder_too_rare_for_the_number_of_particles_is_refused() -> None:
     text = BLEND.replace("share = 0.7", "share = 0.999").replace("share = 0.3", "share = 0.001")
     with pytest.raises(
-        SceneError, match=r"coating.number = 60: powder\[2\] gets none of them by its share: give \d+ or more"
+        SceneError,
+        match=r"coating.number = 60: powder\[2\] has no particle, because its share is small: give \d+ or more",
     ):
         Scene.from_text(text)
