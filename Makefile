@@ -142,7 +142,8 @@ validate: setup
 	$(VENV)/bin/python workflows/validate.py
 
 maps: test-setup
-	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
+	$(VENV)/bin/coldspray sweep workflows/map_ni.toml
+	$(VENV)/bin/coldspray map runs/map_ni
 	cp runs/map_ni/map.csv docs/tables/map_ni.csv
 	cp runs/map_ni/map_Ni_T_p99_K.png docs/evidence/map_ni_T_p99_K.png
 	$(VENV)/bin/python workflows/map_page.py

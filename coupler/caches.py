@@ -1,4 +1,4 @@
-"""Folders in which the program keeps what it need not compute again: compiled kernels and the pace of the machine."""
+"""Cache folders: compiled kernels, and the pace of the machine."""
 
 import atexit
 import hashlib
@@ -22,16 +22,16 @@ def user_folder() -> Path:
 
 
 def kernel_folder(package: Path, asked: str | None) -> Path:
-    """Folder of a package's compiled kernels, another for each state of their sources.
+    """The folder for the compiled kernels of a package; it is different for each state of their sources.
 
-    numba compares the file of a kernel alone, not those of the functions that it calls: in one folder for all states, a kernel would
-    keep the strength law from before an update. asked: the user's $NUMBA_CACHE_DIR, which comes first; then the package's own folder,
-    then the user's cache folder: the first that can be written. Where none can, a folder for this process alone.
+    numba checks the file of a kernel, but not the files of functions that it calls: with a single folder a kernel would use an old
+    strength law after an update. The folder is in the first writable place of: asked ($NUMBA_CACHE_DIR of the user), the folder of the
+    package, the cache folder of the user; without any, it is a temporary folder of this process.
     """
     sources = [path.read_bytes() for path in sorted(package.glob("*/*.py"))]
     state = hashlib.sha256(b"".join(source for source in sources if b"njit" in source)).hexdigest()
     places = [package / "__pycache__", user_folder()]
-    if asked:  # perhaps by a process of this program that has started this one
+    if asked:  # may come from the process of this program that started this one
         places.insert(0, Path(asked).parent if _KERNELS.fullmatch(Path(asked).name) else Path(asked))
     for place in places:
         folder = place.absolute() / f"kernels-{state[:12]}"

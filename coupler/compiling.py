@@ -1,7 +1,7 @@
-"""numba's `njit` for all kernels, with a lock: processes that compile at the same time leave a sound cache.
+"""numba's `njit` for all kernels, with a lock, so that processes that compile at the same time do not damage the cache.
 
-numba numbers the files of a function's compiled kernels by an index that it reads and writes without a lock. Two processes that save
-kernels for other types of arguments at once can both take one number: who loads one of them later gets the other, without an error.
+numba numbers the files of the compiled kernels of a function by an index, which it reads and writes without a lock. Two processes that
+save kernels for different argument types at the same time can use the same number; a later process then loads the wrong kernel.
 """
 
 import fcntl
@@ -18,7 +18,7 @@ LOCK = "lock"  # file in the folder of the kernels
 
 
 class _Lock(event.Listener):
-    """Holds the file LOCK, against other processes, while this one loads, compiles or saves a kernel in any of its threads."""
+    """Locks the file LOCK against other processes while a thread of this process loads, compiles or saves a kernel."""
 
     def __init__(self, path: Path):
         self._path, self._mutex, self._depth = path, threading.Lock(), 0
@@ -40,7 +40,7 @@ class _Lock(event.Listener):
         try:
             if self._descriptor is None:
                 self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-            fcntl.lockf(self._descriptor, command)  # of this process: those that it forks have locks of their own
+            fcntl.lockf(self._descriptor, command)  # per process: a forked process has its own lock
         except OSError:
             return  # a file system without locks
 

@@ -1,27 +1,25 @@
-"""What can go wrong, and who has to act on it.
-
-The command line turns each of these into one message and an exit code; anything else is a bug and keeps its traceback.
-"""
+"""Errors for the user. The command line turns each of them into one message and an exit code; other exceptions are bugs and keep their
+traceback."""
 
 import os
 
-# what launchers of MPI programs tell a process of its rank
+# environment variables in which launchers of MPI give the rank of a process
 _RANK = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK")
 
 
 def is_first_rank() -> bool:
-    """Whether this process prints messages: the only process, or rank 0."""
+    """Whether this process prints messages: it is the only process, or rank 0."""
     return all(os.environ.get(name, "0") == "0" for name in _RANK)
 
 
 class ColdsprayError(Exception):
-    """Something the user can mend: the message names the field or file and the remedy."""
+    """An error that the user can correct: the message names the field or file and the remedy."""
 
     exit_code = 2
 
 
 class SceneError(ColdsprayError):
-    """A scene that cannot be computed. `problems` holds one line for each thing wrong, all found at once."""
+    """A scene that cannot be computed. problems: one line for each problem of the scene."""
 
     def __init__(self, problems: list[str], source: str = "scene"):
         self.problems = problems
@@ -38,42 +36,42 @@ class StoreError(ColdsprayError):
 
 
 class UnreadableError(StoreError):
-    """A file that exists but cannot be read, such as one without permission: its content may be complete."""
+    """A file that exists but cannot be read, for example without permission: its content may be intact."""
 
 
 class CheckpointError(StoreError):
-    """A checkpoint from which a run cannot continue: the message says why, and what to do."""
+    """A checkpoint from which a run cannot continue: the message gives reason and remedy."""
 
 
 class SplatError(ColdsprayError):
-    """A cloud of points that cannot become a finite-element body: says what is wrong with it and what to change."""
+    """A cloud of points that cannot become a finite-element body: the message gives reason and remedy."""
 
 
 class DependencyError(ColdsprayError):
-    """A package that is missing or broken: names it, and how to install it."""
+    """A package that is missing or broken: the message gives its name and how to install it."""
 
 
 class PlacementError(ColdsprayError):
-    """Ranks that cannot be arranged as asked."""
+    """An impossible arrangement of ranks or executors."""
 
 
 class WorkerError(ColdsprayError):
-    """A process that computed a part of a run and was ended from outside."""
+    """A process of a run that was ended from outside."""
 
 
 class InterruptedRunError(ColdsprayError):
-    """A run of a study that was stopped from outside: it is not finished, and the next attempt continues it."""
+    """A run of a study that was stopped from outside: the next attempt continues it."""
 
     exit_code = 130
 
 
 class NoContactError(ColdsprayError):
-    """A particle that has not touched the target: there is no impact to measure."""
+    """A particle that does not touch the target."""
 
     exit_code = 3
 
 
 class SolverError(ColdsprayError):
-    """A computation that failed: the message says where, when, and what to try. Files written before stay readable."""
+    """A computation that failed: the message says where, when, and what to try. Earlier results stay readable."""
 
     exit_code = 3

@@ -1,4 +1,4 @@
-"""The vocabulary of measures: names, units, ranges and convergence of what a run reports. `impact/measure.py` computes them."""
+"""Measures of a run: names, units, ranges and convergence. `impact/measure.py` computes them."""
 
 import math
 from collections.abc import Mapping
@@ -7,13 +7,13 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# Plastic strain that both schemes can follow. It is that of a simple shear of 35 (eps_p = gamma / sqrt(3)); compression gives no such
-# strain. Points that were neighbours across the shear plane are then 35 spacings apart, ten times the support of the kernel, and an
-# element is 35 times as long and a 35th as thick as at first: neither resolves the band that shears.
+# Greatest plastic strain that both schemes can follow. It corresponds to a simple shear of 35 (eps_p = gamma / sqrt(3)); compression
+# does not reach it. Neighbouring points across the shear plane are then 35 spacings apart, ten times the support of the kernel, and an
+# element is 35 times as long and 1/35 as thick as initially: neither resolves the shear band.
 EPS_P_LIMIT = 20.0
-SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows the points no better
-PLASTIC_SHARE_LIMIT = 0.05  # dissipation of the particle's scheme over its plastic work beyond which a run warns
-# A surface that lies a thirtieth of a sphere's diameter too deep all round encloses a fifth less (dV / V = 6 d / D).
+SHAPE_TOLERANCE = 0.01  # of the diameter of a sphere: accuracy with which the carried surface follows the points
+PLASTIC_SHARE_LIMIT = 0.05  # a run warns if the dissipation of the particle's scheme over its plastic work is larger
+# A surface that lies D / 30 too deep everywhere encloses 20 % less volume (dV / V = 6 d / D)
 SURFACE_VOLUME_LIMIT = 0.2
 OF_THE_SURFACE = (
     "flattening_ratio",
@@ -23,17 +23,17 @@ OF_THE_SURFACE = (
     "splat_diameter_m",
     "jet_length_m",
 )
-DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
+DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy: if larger, it influences the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
-# What decides a verdict: bonds computed in the impact, a formula of the velocity, ties of the scene, the motion of the particle alone.
+# Method that decides a verdict: bonds computed in the impact, formula of the velocity, ties of the scene, motion of the particle alone
 VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
 VERDICT, BALANCE = "verdict", "balance, of the initial energy"
 GROUPS = (VERDICT, SHAPE, PARTICLE, BALANCE, TARGET, RUN)  # in reading order
 
-# Ending of a key -> unit and factor in which people read it; the first ending that fits counts.
+# Ending of a key -> display unit, factor from SI; the first ending that matches counts
 _UNITS = {
     "_m_s": ("m/s", 1.0), "_m2": ("µm²", 1e12), "_m": ("µm", 1e6), "_Pa": ("MPa", 1e-6), "_K": ("K", 1.0), "_kg": ("ng", 1e12),
     "_J": ("nJ", 1e9), "_s": ("ns", 1e9),
@@ -42,12 +42,12 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure. key: its name in files, where its value is SI; label: in tables; short: in one line beside others.
+    """One measure. key: its name in files, where its value is in SI; label: its name in tables; short: its name in a list.
 
-    unit, factor: in which people read it, and the factor from SI; from the ending of the key unless said. low, high: the range
-    that follows from the definition; beyond: the reason for it.
-    expected, unusual: values outside `expected` are possible, and `unusual` (below, above) says what they mean.
-    converges: True where more points bring it to a limit; False where they do not, as of local maxima; None for what has no resolution.
+    unit, factor: display unit and factor from SI; default: from the ending of the key. low, high: range that follows from the
+    definition; beyond: text for a value outside this range. expected: range of usual values; unusual: meaning of values (below, above)
+    it. converges: True if the value converges with the number of points, False if it does not (local maxima), None if it does not
+    depend on the resolution.
     """
 
     key: str
@@ -73,11 +73,11 @@ class Measure:
             object.__setattr__(self, name, value)
 
     def initial(self, T_0: float) -> float:
-        """The value that errors are relative to: the initial temperature T_0 (K) of temperatures, else zero."""
+        """The reference value of relative errors: the initial temperature T_0 (K) for temperatures, else zero."""
         return T_0 if self.key.startswith("T_") else 0.0
 
     def refusal(self, value: float) -> str | None:
-        """The reason why a value lies outside the range; None if it is inside."""
+        """Why a value is invalid: not finite or outside the range; None for a valid value."""
         if not math.isfinite(value):
             return "not a number"
         if self.low <= value <= self.high:
@@ -88,7 +88,7 @@ class Measure:
         )
 
     def remark(self, value: float) -> str | None:
-        """The meaning of an unusual value inside the range; None for a usual one."""
+        """The meaning of a valid but unusual value; None for a usual value."""
         low, high = self.expected
         text = self.unusual[0] if value < low else self.unusual[1] if value > high else ""
         return f"{self.label} is {value * self.factor:.4g}: {text}" if text else None
@@ -183,14 +183,14 @@ CONVERGING = tuple(measure.key for measure in TABLE if measure.converges)
 
 
 def measure(key: str) -> Measure:
-    """The record of a key; for a key outside the table, a plain record with the unit of its ending."""
+    """The record of a key; a key that is not in TABLE has a record with the unit of its ending."""
     return MEASURES.get(key) or Measure(key, group=TARGET if key.startswith(("target", "plastic")) else RUN)
 
 
 def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str, str]]:
-    """Values with None for those outside the range of their measure, and the reasons by key.
+    """Values with None in place of those outside the range of their measure; key -> reason.
 
-    Measures of a surface that does not follow the points are outside it too.
+    If the surface does not follow the points, all measures of the surface are None.
     """
     reasons = {
         key: reason
@@ -203,6 +203,6 @@ def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str
 
 
 def axis_label(key: str) -> str:
-    """Short name and unit, as on an axis: "velocity (m/s)"."""
+    """Short name and unit for an axis: "velocity (m/s)"."""
     m = measure(key)
     return f"{m.short} ({m.unit})" if m.unit else m.short

@@ -1,4 +1,4 @@
-"""How far a command has come: a bar on a terminal, a line every few seconds elsewhere."""
+"""Progress of a command: a bar on a terminal, elsewhere a line every few seconds."""
 
 import math
 import sys
@@ -14,40 +14,44 @@ from rich.progress import Progress as Bar
 _BAR_EVERY = 0.1  # s of wall time between two drawings of the bar
 _LINE_EVERY = 5.0  # between two log lines
 _FIRST_LINE = 0.5  # after the start
-_STAGE_AFTER = 2.0  # a stage that takes longer is shown where there is no terminal
-_TELLS_AFTER = 1.0  # s of wall time in the time loop, from which on time to go is told
-_OVERDUE = 0.1  # of the time that an impact has taken: at least so much is left, until it ends
+_STAGE_AFTER = 2.0  # without a terminal, a stage that takes longer is shown
+_TELLS_AFTER = 1.0  # s of wall time in the time loop, after which the remaining time is shown
+_OVERDUE = 0.1  # least remaining time of an impact, over its time so far
 
 
 class Progress:
-    """Shows the stage of a command; of an impact simulated time, kinetic energy left, dt and time to go.
+    """Shows the stage of a command; for an impact: simulated time, remaining kinetic energy, dt and remaining wall time.
 
-    An update costs little and may come at every step. stream: where it goes, standard error by default, in a
-    notebook standard output. quiet: show nothing.
-    `time` is the simulated time reached, over all impacts, s; nan before the first update. `compiling`: wall time that went into
-    the compilation of kernels, s, which time to go leaves out. `record` takes every line too: a run sets it to its log file.
+    An update is cheap and can come at every step. stream: output, by default standard error, in a notebook standard output; quiet: show
+    nothing. time: simulated time over all impacts, s, nan before the first update; compiling: wall time for the compilation of kernels,
+    s, which the remaining time excludes; record: function that receives every line, such as the log file of a run.
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
         in_notebook = type(sys.stderr).__module__.startswith("ipykernel")  # it shows standard error as a fault, in red
         self.stream = stream if stream is not None else sys.stdout if in_notebook else sys.stderr
-        self.quiet = quiet or self.stream is None  # a program without a terminal has no standard error
+        self.quiet = quiet or self.stream is None  # a program without a terminal may have no standard error
         self.time, self.compiling = float("nan"), 0.0
         self.record: Callable[[str], None] = lambda text: None
         self._impact = ""
         self._before, self._expected, self._limit = 0.0, float("nan"), float("inf")  # s, simulated
         self._dt_expected, self._dt_first = float("inf"), 0.0
-        self._done, self._share = 0.0, 1.0  # parts of the whole: of the impacts before, and of this one
+        self._done, self._share = 0.0, 1.0  # shares of the whole: of the earlier impacts, and of this one
         self._running = False
         self._state = (float("nan"), float("nan"), 0)  # kinetic fraction, dt, step
-        self._shown: tuple[float, int] | None = None  # simulated time and step that were shown last
-        self._stage: tuple[str, float] | None = None  # and when it began
+        self._shown: tuple[float, int] | None = None  # simulated time and step of the last output
+        self._stage: tuple[str, float] | None = None  # text and time of its start
         self._bar: Bar | None = None
-        # clock without compilation, and part done, at the first update of an impact; clock at the last one
+        # clock without compilation, and share done, at the first update of an impact; clock at the last update
         self._first: tuple[float, float] | None = None
         self._clock = 0.0
-        self._looped, self._part = 0.0, 0.0  # wall time of the loops of the impacts before, and their part of the whole
-        self._batches: tuple[float, float] | None = None  # clock and part done at the end of the first batch of impacts
+        self._looped, self._part = (
+            0.0,
+            0.0,
+        )  # wall time of the loops of the earlier impacts, and their share of the whole
+        self._batches: tuple[float, float] | None = (
+            None  # clock and share done at the end of the first batch of impacts
+        )
         self._next = 0.0
         self._ticker: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -61,14 +65,15 @@ class Progress:
         shares: Sequence[tuple[float, float]] = ((0.0, 1.0),),
         dt_expected: float = float("inf"),
     ) -> None:
-        """Begin impact i. expected, limit: its expected and longest simulated time, s; before: that of the impacts before it, s;
-        shares: of each impact, the part of the expected wall time before it and its own; dt_expected: its mean time step, s."""
+        """Begin impact i. expected, limit: its expected and its greatest simulated time, s; before: simulated time of the earlier
+        impacts, s; shares: for each impact, the share of the expected wall time before it and its own share; dt_expected: mean time
+        step, s."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
         if self._first is not None and shares[i] != (
             self._done,
             self._share,
-        ):  # else begun again: the failed attempt tells nothing
+        ):  # else the impact starts again, and the failed attempt does not count
             self._looped += self._clock - self._first[0]
             self._part += self._done + self._share - self._first[1]
         self._first = None
@@ -78,7 +83,7 @@ class Progress:
         self._open()
 
     def update(self, time_: float, kinetic_fraction: float, dt: float, step: int) -> None:
-        """Report the state of the impact. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
+        """Report the state of the impact. time_: simulated, s; kinetic_fraction: kinetic energy over its initial value; dt: s."""
         self.time, self._stage = self._before + time_, None
         self._dt_first = max(self._dt_first, dt)
         self._state = (kinetic_fraction, dt, step)
@@ -90,8 +95,8 @@ class Progress:
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
 
     def stage(self, text: str, of_impact: bool = True, done: float | None = None) -> None:
-        """Begin work that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
-        is begun again. of_impact: it belongs to the impact that was started last; done: part of the whole that lies before it."""
+        """Begin work without simulated time. It lasts until the next call of `stage`, `update` or `stop`; a call with the same text
+        continues it. of_impact: it belongs to the last started impact; done: share of the whole before it."""
         again = self._stage is not None and self._stage[0] == text
         if not again:
             self._show_last()
@@ -111,13 +116,13 @@ class Progress:
             self._ticker.start()
 
     def batch_ended(self, done: float) -> None:
-        """A batch of impacts side by side has ended; done: part of the whole that lies before the next. Time to go follows the pace of
-        batches from the first one on, at whose end the kernels of all processes are there."""
+        """Report the end of a batch of simultaneous impacts. done: share of the whole before the next batch. The remaining time follows
+        from the batches after the first one, at whose end all processes have their kernels."""
         if self._batches is None:
             self._batches = time.monotonic() - self.compiling, done
 
     def log(self, text: str) -> None:
-        """A line of its own, above the bar."""
+        """Show a line, on a terminal above the bar."""
         self.record(text)
         if self.quiet:
             return
@@ -127,7 +132,7 @@ class Progress:
             self._print(text)
 
     def stop(self) -> None:
-        """End, and leave the last state on the screen. May be called more than once."""
+        """End, with the last state on the screen. Further calls have no effect."""
         self._stopped.set()
         if self._ticker is not None:
             self._ticker.join()
@@ -135,7 +140,7 @@ class Progress:
         self._show_last()
         self._stage = None
         if self._bar:
-            self._bar.live.transient = not self._running  # of a command that runs no impact nothing stays
+            self._bar.live.transient = not self._running  # the bar of a command without an impact disappears
             self._bar.stop()
             self._bar = None
         self._running = False
@@ -153,10 +158,10 @@ class Progress:
         return f"{text}{_words(self.time_to_go(now))}"
 
     def time_to_go(self, now: float) -> float:
-        """Wall time that is left, s; nan while too little is done for an estimate. now: time.monotonic().
+        """Remaining wall time, s; nan while it cannot be estimated. now: time.monotonic().
 
-        The pace is measured in the time loops alone: between impacts the forecast knows less, as it takes each particle for a splat.
-        Of impacts in batches it is that of whole batches.
+        The pace is that of the time loops, because the forecast of the time between impacts is less accurate. For impacts in batches it
+        is the pace of complete batches.
         """
         if self._batches is not None:
             return self._to_go_of_batches(now, self._fraction())
@@ -170,11 +175,11 @@ class Progress:
         return (now - self.compiling - begun) * (1.0 - done) / (done - first) if done > first else math.nan
 
     def _fraction(self) -> float:
-        """The part of all steps of all impacts that is done, as their expected wall time goes.
+        """The share of the expected wall time of all impacts that is done.
 
-        An impact that takes longer than expected has a tenth of its time left. 1 / dt rises about as kinetic energy is converted:
-        the mean over the rest of the impact is that of now, and of what is left of the energy that part by which the expected mean
-        of the impact lies above the first.
+        At least _OVERDUE of the time so far of an impact remains. 1 / dt rises approximately as kinetic energy is converted: its
+        mean over the rest of the impact is its current value, plus the remaining share of kinetic energy times the difference
+        between the expected mean and the first value.
         """
         gone, (kinetic, dt, step) = self.time - self._before, self._state
         if not gone > 0.0:
@@ -185,8 +190,8 @@ class Progress:
         return self._done + self._share * step / (step + steps_left)
 
     def _open(self) -> None:
-        """The bar, on a terminal."""
-        is_terminal = getattr(self.stream, "isatty", lambda: False)  # streams of loggers and windows may lack it
+        """Start the bar, on a terminal."""
+        is_terminal = getattr(self.stream, "isatty", lambda: False)  # other stream classes may lack it
         if self._bar is None and not self.quiet and is_terminal():
             self._bar = _bar(self.stream)
             self._bar.add_task("", total=1.0, status="")
@@ -194,12 +199,12 @@ class Progress:
         self._next = self._next or time.monotonic() + (0.0 if self._bar else _FIRST_LINE)
 
     def _show_last(self) -> None:
-        """The last state of an impact, before something else begins."""
+        """Show the last state of an impact, before other work begins."""
         if self._running and self._stage is None and self.time > self._before:
             self._show_state(time.monotonic())
 
     def _show_state(self, now: float) -> None:
-        """The state of an impact; a line only where it is another one than before."""
+        """Show the state of an impact; without a bar, only if it has changed."""
         state = (self.time, self._state[2])
         if self._bar or state != self._shown:
             self._show(self.status(now))
@@ -214,7 +219,7 @@ class Progress:
                 self._print(text)
 
     def _print(self, text: str) -> None:
-        """A line for the stream; one that cannot be written, as on a full disk, ends nothing but the lines."""
+        """Print a line to the stream. After a line that cannot be written, such as on a full disk, no more lines are printed."""
         try:
             print(text, file=self.stream, flush=True)
         except BrokenPipeError:
@@ -227,7 +232,7 @@ class Progress:
             self._bar.update(self._bar.task_ids[0], completed=self._fraction(), status=text)
 
     def _tick(self) -> None:
-        """Show how long a stage lasts: on a terminal every second, else every few."""
+        """Show the duration of a stage: every second on a terminal, else every _LINE_EVERY."""
         while not self._stopped.wait(1.0):
             stage, now = self._stage, time.monotonic()
             if stage is None or now - stage[1] < _STAGE_AFTER:
@@ -242,7 +247,7 @@ class Progress:
 
 
 def _words(left: float) -> str:
-    """Time to go in words; nothing where it is not known."""
+    """Text: remaining time; "" if it is unknown."""
     return "" if math.isnan(left) else f"  about {left:.0f} s to go"
 
 

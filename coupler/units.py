@@ -1,8 +1,7 @@
-"""Values with units at the edge of the program: "25 um" in, 2.5e-5 m inside.
+"""Conversion of values with units: "25 um" in a file, 2.5e-5 m in the program.
 
-A dimension is a name ("length"); it has one SI unit, in which everything inside is kept, and others that a
-person may write. Reading is exact to the last bit ("25 um" is the float 2.5e-5), so a scene written out and
-read again is equal.
+A dimension is a name ("length"). It has one SI unit, which the program uses, and others for input. Conversion is exact to the last bit
+("25 um" gives the float 2.5e-5), so that a scene that is written and read again is equal.
 """
 
 import difflib
@@ -13,7 +12,7 @@ from functools import lru_cache
 
 _MICRO_SIGNS = str.maketrans({"µ": "u", "μ": "u", "°": "deg"})
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(\S.*?)?\s*", re.ASCII)
-_LONGEST = 60  # characters; exact arithmetic on longer numbers would only cost time
+_LONGEST = 60  # characters of a value, because exact arithmetic with longer numbers is slow
 
 # dimension -> (an example for messages, {unit: factor to the SI unit}); the first unit of each is the SI one
 _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
@@ -43,15 +42,14 @@ _DIMENSION_OF = {unit: dimension for dimension, (_, units) in _DIMENSIONS.items(
 
 
 class UnitError(ValueError):
-    """A value without the unit it needs, or with another one. The message says which dimension is wanted."""
+    """A value without a unit, or with a wrong one. The message gives the expected dimension."""
 
 
 def parse(value: object, dimension: str) -> float:
     """Read a quantity such as "25 um".
 
-    value: text with a number and a unit (anything else is refused). dimension: one of the names above.
-    Returns the value in the SI unit of the dimension (angles in radians, temperatures in kelvin).
-    Raises UnitError, with a message that fits after "particle.diameter = 25: ".
+    value: text with a number and a unit; other values are refused. dimension: a name such as "length". Returns the value in the SI unit
+    of the dimension (angles: radians, temperatures: kelvin). Raises UnitError with a message to follow "particle.diameter = 25: ".
     """
     wanted = _wanted(dimension)
     if not isinstance(value, str):
@@ -68,16 +66,14 @@ def parse(value: object, dimension: str) -> float:
     return _in_si(number, unit, dimension)
 
 
-@lru_cache(4096)  # a catalogue of materials has the same hundreds of values for each scene
+@lru_cache(4096)  # each scene has the same hundreds of values of the material library
 def _in_si(number: str, unit: str, dimension: str) -> float:
     return float(Fraction(number) * Fraction(_DIMENSIONS[dimension][1][unit]) + _OFFSETS.get(unit, 0))
 
 
 def show(value: float, unit: str) -> str:
-    """Write an SI value in a unit: show(2.5e-5, "um") is "25 um".
-
-    With as few digits as read back to the same float; in the SI unit if this one cannot.
-    """
+    """Write an SI value in a unit: show(2.5e-5, "um") gives "25 um". The text has as few digits as give the same float again; if
+    that is impossible in this unit, it has the SI unit."""
     dimension = _DIMENSION_OF[unit]
     exact = (Fraction(value) - _OFFSETS.get(unit, 0)) / Fraction(_DIMENSIONS[dimension][1][unit])
     for digits in range(1, 18):
@@ -89,18 +85,18 @@ def show(value: float, unit: str) -> str:
 
 
 def rounded(value: float, unit: str, digits: int = 3) -> str:
-    """Write an SI value in a unit with some digits, for people: rounded(1.26936e-6, "um") is "1.27 um"."""
+    """Write an SI value in a unit, rounded to significant digits: rounded(1.26936e-6, "um") gives "1.27 um"."""
     scale = Fraction(_DIMENSIONS[_DIMENSION_OF[unit]][1][unit])
     return f"{_plain(float((Fraction(value) - _OFFSETS.get(unit, 0)) / scale), digits)} {unit}"
 
 
 def dimension_of(unit: str) -> str:
-    """The dimension a unit belongs to: dimension_of("um") is "length"."""
+    """The dimension of a unit: dimension_of("um") gives "length"."""
     return _DIMENSION_OF[unit]
 
 
 def pattern(dimension: str) -> str:
-    """A regular expression (of JSON schemas) for a number with a unit of a dimension."""
+    """A regular expression, for JSON schemas, of a number with a unit of a dimension."""
     known = "|".join(
         re.escape(unit).replace("u", "[uµμ]").replace("deg", "(deg|°)") for unit in _DIMENSIONS[dimension][1]
     )
@@ -108,7 +104,7 @@ def pattern(dimension: str) -> str:
 
 
 def nearest(word: str, known: object) -> str:
-    """A hint such as ' (did you mean "velocity"?)' if a known word is close, else an empty text."""
+    """A hint such as ' (did you mean "velocity"?)' if a known word is similar, else ""."""
     words = {str(k).lower(): str(k) for k in known}  # type: ignore[attr-defined]
     close = difflib.get_close_matches(word.lower()[:_LONGEST], list(words), n=1, cutoff=0.6)
     return f' (did you mean "{words[close[0]]}"?)' if close else ""
@@ -116,7 +112,7 @@ def nearest(word: str, known: object) -> str:
 
 def _plain(value: float, digits: int) -> str:
     text = f"{value:.{digits}g}"
-    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text  # 2e+01 is nobody's 20
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text  # 20 instead of 2e+01
 
 
 def _wanted(dimension: str) -> str:

@@ -11,6 +11,7 @@ from made_up_run import summary_of
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
+from coupler.studies.runs import write_scene
 from coupler.studies.sweep import Sweep
 
 SHARED = {"preset": "draft", "substrate": {"material": "SS304"}}
@@ -56,7 +57,7 @@ def pretend(folder: Path, name: str, verdict: str | None = None, **measures: flo
 def made(folder: Path, whole: Sweep, critical: float | None = None) -> Path:
     """A sweep whose points are done, with the flattening that `flattening` says. critical: m/s, from which on they stick."""
     for name in whole.points:
-        whole.write(folder, name)
+        write_scene(folder, name, whole.points[name])
         p = Scene.load(folder / f"{name}.toml").particle
         verdict = None if critical is None else "sticks" if p.velocity >= critical else "rebounds"
         pretend(folder, name, verdict, flattening_ratio=float(flattening(np.array(p.velocity), np.array(p.diameter))))

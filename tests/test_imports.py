@@ -48,7 +48,7 @@ KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py") 
 # A second of processor time, or MPI begun, which most runs do not need: imported where it is used
 HEAVY = {"open3d", "mpi4py", "scipy.integrate"}
 # Packages that a run can do without
-OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "snakemake", "pyvista", "pandas", "vtk"}
+OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "pyvista", "pandas", "vtk"}
 FLAT = {"__init__", "__main__", "caches", "compiling", "errors", "units", "progress", "measures"}
 FILES = sorted(ROOT.rglob("*.py"))
 

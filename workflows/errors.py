@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import NullFormatter
-from pages import EVIDENCE, ROOT, column, markdown, number, options, study_table, versions, write_parts
+from pages import EVIDENCE, ROOT, column, markdown, number, options, spent, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.core.executors import executor
@@ -26,7 +26,6 @@ from coupler.measures import measure as record
 from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.report.picture import blank, save
-from coupler.studies.ladder import spent
 from coupler.studies.table import Row
 
 # particle, um, m/s, degrees, substrate, shape: every metal of the library; soft on hard, hard on soft, alike

@@ -7,12 +7,11 @@ before becomes a body, joins, comes to rest; building), who set dt. --docs compu
 
 import random
 
-from pages import EVIDENCE, TABLES, column, computed, options, table_rows, write_table
+from pages import EVIDENCE, TABLES, column, computed, options, spent, table_rows, write_table
 
 from coupler import Scene
 from coupler.impact.exchange import Impact
 from coupler.report.picture import blank, save
-from coupler.studies.ladder import spent
 
 COLUMNS = (
     "impact", "elements", "steps", "before s", "steps s", "ms per step", "end ns", "dt mean ps", "dt set by the bodies %",

@@ -5,6 +5,7 @@ import math
 import os
 import platform
 import re
+import resource
 import tempfile
 import time
 import tomllib
@@ -65,6 +66,12 @@ def table_rows(name: str) -> list[Row]:
 def write_table(path: Path, rows: Sequence[Mapping[str, object]], about: str) -> None:
     """Write a table whose rows are all of this version. about: lines above the header, the first says how to remake it."""
     write_rows(path, [*rows[0], "version"], [{**row, "version": __version__} for row in rows], about)
+
+
+def spent() -> float:
+    """Processor time so far of this process and its finished children, s."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def options(about: str, *switches: str, **values: object) -> argparse.Namespace:

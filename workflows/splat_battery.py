@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
-from pages import EVIDENCE, fill, markdown, options, study_table, write_parts
+from pages import EVIDENCE, fill, markdown, options, spent, study_table, write_parts
 
 from coupler.errors import SplatError
 from coupler.geometry.sections import crossing, section_of_tets
@@ -23,7 +23,6 @@ from coupler.particle import packing
 from coupler.report.picture import blank, save
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
-from coupler.studies.ladder import spent
 from coupler.studies.table import Row, StudyTable
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements

@@ -1,4 +1,4 @@
-"""The command `coldspray accuracy`, and what `check` and `run` say and choose of accuracy and time."""
+"""The command `coldspray accuracy`; accuracy and time in `check` and `run`: forecast, and choice of the resolution."""
 
 import argparse
 import math
@@ -6,64 +6,72 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, Option, add_study, quantity, scene_of, share, study_folder, teller, working
+from .arguments import (
+    Commands,
+    Option,
+    add_jobs,
+    add_study,
+    continuing,
+    jobs_of,
+    quantity,
+    remake,
+    scene_of,
+    share,
+    study_folder,
+    teller,
+    working,
+)
 
 if TYPE_CHECKING:
     from ..plan.planning import Plan
     from ..plan.reading import Scene
     from ..studies.pace import Pace
 
-_NAMES = ("scene.toml", "accuracy.csv", "accuracy.png", "accuracy.html")
+_NAMES = ("scene.toml", "accuracy.csv", "accuracy.png")
 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_study(commands, "accuracy", run, "compute a scene at many resolutions: what accuracy costs in time")
-    option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
-    option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
-    option("--knobs-at", type=int, metavar="N",
-           help="points at which the other settings are tried; 0: not at all (default: 1000)")  # fmt: skip
+    option = add_study(commands, "accuracy", run, "compute a scene at several numbers of points: accuracy against time")
+    option(
+        "--points",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="points of the particle (default: 500 1000 2000 3500 5000 16000)",
+    )
+    add_jobs(option, "runs at the same time")
 
 
 def add_to_run(option: Option) -> None:
     """The options of `run` that choose the resolution."""
-    option("--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"')
-    text = 'choose the resolution for this error of the splat\'s shape, as forecast: "2%%"'
+    option("--within", metavar="TIME", help='choose the finest resolution for this wall time: "60s", "5min", "1h"')
+    text = 'choose the coarsest resolution with this forecast error of the shape of the splat: "2%%"'
     option("--accuracy", metavar="PERCENT", help=text)
     option("--spread", choices=("strength", "friction"),
-           help="compute the scene with the other strength sets of its metals, or without friction and with the greatest, too, and"
-           " print the range")  # fmt: skip
+           help="also compute the scene with the other strength sets of its metals, or with least and greatest friction, and print"
+           " the range")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute the ladder of a scene, or continue it, and draw. Returns the exit code."""
-    from ..studies import ladder
-    from ..studies.accuracy_figures import lines, write
-    from ..studies.table import StudyTable
+    """Compute a scene at several numbers of points, or continue, and draw. Returns the exit code."""
+    from ..studies import accuracy
+    from ..studies.table import write_rows
 
     scene = scene_of(arguments)
-    knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
-    reference = ladder.REFERENCE if arguments.reference is None else arguments.reference
-    points = ladder.ladder_points(arguments.points or ladder.POINTS, reference, knobs or None)
     out, say = study_folder(arguments, scene, "accuracy", _NAMES), teller(arguments.quiet)
-    about = "remake: coldspray accuracy (rows in this table are not computed again)"
-    table = StudyTable(out / "accuracy.csv", ladder.COLUMNS, ladder.KEY, about)
-    try:
-        ladder.compute_missing(scene, out, points, table, say, arguments.quiet)
-    except KeyboardInterrupt:
-        say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} of {len(points)} settings")
-        raise
-    wanted = {point.key for point in points}
-    rows = [row for row in table.rows if tuple(row[name] for name in ladder.KEY) in wanted]
-    picture, page = write(rows, out, scene.name, scene.particles[-1].temperature)
+    with continuing(out, say):
+        rows = accuracy.compute(scene, out, arguments.points or accuracy.POINTS, jobs_of(arguments), say)
+    write_rows(out / "accuracy.csv", accuracy.COLUMNS, rows, remake(arguments))
+    accuracy.draw(rows, out / "accuracy.png", scene.name)
     if not arguments.quiet:
-        print(*lines(rows), sep="\n")
-        print(f"table in {table.path}\nfigure in {picture}\npage in {page}")
+        print(*accuracy.lines(rows), sep="\n")
+        print(f"table in {out / 'accuracy.csv'}\nfigure in {out / 'accuracy.png'}")
     return 0
 
 
 def here(recalibrate: bool = False) -> "Pace":
-    """The pace of this machine; measured where it is not known."""
+    """The pace of this machine, measured if it is not known. recalibrate: measure again."""
     from ..studies import pace
 
     def measure() -> float:
@@ -76,7 +84,8 @@ def here(recalibrate: bool = False) -> "Pace":
 
 
 def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
-    """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with their sources."""
+    """Text for `check`: forecast of the wall time of a plan on this machine, and of the errors. verbose: with the source of the
+    errors."""
     from ..measures import CONVERGING, MEASURES
     from ..plan import refinement
     from ..plan.text import duration
@@ -89,12 +98,13 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
         fill(text, 119, initial_indent="  error      ", subsequent_indent=" " * 13),
     ]
     if verbose:
-        lines.append("             of the discretisation alone, the median of 24 scenes (docs/evidence/accuracy.md)")
+        lines.append("             of the discretisation alone, median of 24 scenes (docs/evidence/accuracy.md)")
     return "\n".join(lines)
 
 
 def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
-    """Compute a scene with the other values of a choice of the model, and print the range of each measure. out: folder of its run."""
+    """Compute a scene with the other values of a choice of the model (key in `spread.SPREADS`), and print the range of each measure.
+    out: folder of the run of the scene."""
     from ..files.result import Result
     from ..studies import spread
 
@@ -106,9 +116,9 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 
 
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
-    """The scene with the resolution that was asked for, and a line about it. within, accuracy: as on the command line; with both, the
-    accuracy is met if there is time for it. Raises ColdsprayError for text that is no time or percentage, AccuracyError where no
-    resolution will do."""
+    """The scene with the resolution that --within or --accuracy determine, and a text line about it. within, accuracy: text of these
+    options. With both, --accuracy decides, if the time allows it. Raises ColdsprayError for text that is no time or percentage,
+    AccuracyError if no resolution is possible."""
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan
@@ -119,7 +129,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     asked = share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]
-    # the smallest needs points too
+    # the smallest particle needs enough points, too
     coarsest = max(LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes)))
     pace = here() if within else None
 

@@ -1,4 +1,4 @@
-"""Values of command-line options, checked where they are read."""
+"""Options that several commands share, and the types of their values."""
 
 import argparse
 import contextlib
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
     from ..plan.reading import Scene
     from ..progress import Progress
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # the subcommands of a parser
 Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a command
 
 
 def path(text: str) -> Path:
-    """A path; an empty one is refused, because it would mean the current folder."""
+    """The type of an option that takes a path. An empty one is refused, because it would mean the current folder."""
     if not text.strip() or "\0" in text:
         raise argparse.ArgumentTypeError("the name is empty or has a null character; give '.' for the current folder")
     return Path(text)
 
 
 def seconds(text: str) -> float:
-    """A positive, finite number of seconds."""
+    """The type of an option that takes a positive, finite number of seconds."""
     with contextlib.suppress(ValueError):
         if 0.0 < (value := float(text)) < math.inf:
             return value
@@ -39,8 +39,8 @@ def seconds(text: str) -> float:
 def quantity(
     option: str, dimension: str, positive: bool = True, form: str = "{}", limits: tuple[str, str] | None = None
 ) -> Callable[[str], float]:
-    """The type of an option that takes text with a unit, such as "300 ns": a function to SI, which raises ColdsprayError. form: what
-    the text is put into before it is read; limits: the least and the greatest value, as text."""
+    """The type of an option that takes text with a unit, such as "300 ns", and gives SI; it raises ColdsprayError. positive: zero and
+    negative values are refused; form: a format that completes the text before it is read; limits: least and greatest value, as text."""
 
     def read(text: str) -> float:
         from ..units import UnitError, parse
@@ -59,24 +59,24 @@ def quantity(
 
 
 def add_command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command, its function and its line of help. Returns the function that adds its arguments."""
+    """Add a command. run: its function; text: its line of help. Returns the function that adds its arguments."""
     parser = commands.add_parser(name, help=text)
     parser.set_defaults(command=run)
     return parser.add_argument
 
 
 def add_scene(option: Option) -> None:
-    """The argument and options of a command that reads a scene; `scene_of` reads it."""
+    """Add the argument and the options of a command that reads a scene; `scene_of` reads it."""
     option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
     option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
-           help="a key of the scene in place of the file's, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
+           help="set a key of the scene, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
            " 'particle[2].material=Ti'; KEY= removes the key")  # fmt: skip
-    text = "draft, standard or fine, in place of the scene's preset, spacing and element_size"
+    text = "draft, standard or fine; replaces preset, spacing and element_size of the scene"
     option("--preset", metavar="NAME", help=text)
 
 
 def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command that computes a scene many times, as `add_command`; `study_folder` makes its folder."""
+    """Add a command that computes a scene many times; `study_folder` makes its folder. Arguments and result as of `add_command`."""
     option = add_command(commands, verb, run, text)
     add_scene(option)
     option("--out", type=path, metavar="DIR",
@@ -87,7 +87,7 @@ def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace],
 
 
 def scene_of(arguments: argparse.Namespace) -> "Scene":
-    """The scene of a command with the settings of its options. Raises SceneError with every problem of it, as for a file."""
+    """The scene of a command with the settings of its options. Raises SceneError with every problem."""
     from ..plan.reading import Scene
 
     settings = list(arguments.settings)
@@ -98,7 +98,7 @@ def scene_of(arguments: argparse.Namespace) -> "Scene":
 
 
 def _setting(text: str) -> tuple[str, str | None]:
-    """The key and the value of `--set`; None for an empty value."""
+    """The type of `--set`: key and value, None for an empty value."""
     key, sign, value = text.partition("=")
     if not sign:
         raise argparse.ArgumentTypeError(
@@ -108,7 +108,7 @@ def _setting(text: str) -> tuple[str, str | None]:
 
 
 def at_least_one(text: str, most: int | None = None) -> int:
-    """The type of an option that takes a whole number from one to a limit."""
+    """The type of an option that takes a whole number from one to `most`."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
     if most is not None and int(text) > most:
@@ -117,28 +117,29 @@ def at_least_one(text: str, most: int | None = None) -> int:
 
 
 def add_jobs(option: Option, text: str) -> None:
-    """The option --jobs, of which `jobs_of` has the default. text: what there are so many of."""
+    """Add the option --jobs; `jobs_of` reads it. text: for its help."""
     option("--jobs", type=at_least_one, metavar="N", help=f"{text} (default: all cores that this process may use)")
 
 
 def jobs_of(arguments: argparse.Namespace) -> int:
-    """Number of computations at a time: of --jobs, else the number of cores."""
+    """Number of computations at the same time: --jobs, by default the number of cores."""
     from ..core.cores import cores
 
     return arguments.jobs or cores()
 
 
 def share(text: str, option: str) -> float:
-    """A percentage such as "2%" as a share. Raises StoreError with what was expected."""
+    """A percentage such as "2%" as a number from 0 to 1. Raises StoreError for other text."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        expected = 'give a percentage above 0 and up to 100, such as "2%"'
-        raise StoreError(f"{option} {text!r} is not an uncertainty: {expected}")
+        raise StoreError(
+            f'{option} {text!r} is not an uncertainty: give a percentage above 0 and up to 100, such as "2%"'
+        )
     return float(match.group(1)) / 100.0
 
 
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
-    """The folder of a study of a scene, --out or runs/<verb>-<scene name>, with the scene in it. names: of the files of the study.
+    """Make the folder of a study, --out or runs/<verb>-<scene name>, with the scene in it. Returns it. names: file names of the study.
     Raises StoreError if the folder holds the study of another scene."""
     from ..files.inputs import parse_toml, read_toml
     from ..files.outputs import claim_folder
@@ -155,28 +156,28 @@ def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names
 
 
 def remake(arguments: argparse.Namespace) -> str:
-    """How to remake a table: the command as it was given."""
+    """The command that computes a table again, as text."""
     return f"remake: coldspray {shlex.join(arguments.words)}"
 
 
 def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:
-    """A function that prints a line at once to a standard stream; quiet: nothing."""
+    """A function that prints a line to a standard stream, or with `quiet` does nothing."""
     return lambda text: None if quiet else print(text, file=getattr(sys, to), flush=True)
 
 
 def add_quiet(option: Option) -> None:
-    """The option --quiet: errors only."""
+    """Add the option --quiet."""
     option("-q", "--quiet", action="store_true", help="print errors only")
 
 
 def add_verbose(option: Option, text: str) -> None:
-    """The option --verbose. text: of its help."""
+    """Add the option --verbose. text: its help."""
     option("-v", "--verbose", action="store_true", help=text)
 
 
 @contextmanager
 def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
-    """Context that shows the present work and its duration. text: the work; quiet: shows nothing."""
+    """Context that shows the current work and its duration. text: the work; quiet: show nothing."""
     from ..progress import Progress
 
     with Progress(quiet) as progress:
@@ -184,6 +185,16 @@ def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
         yield progress
 
 
+@contextmanager
+def continuing(out: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Context of a study in the folder `out`: on an interrupt, say that the same command continues it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(f"stopped; the same command continues in {out}")
+        raise
+
+
 def add_force(option: Option) -> None:
-    """The option that lets a command replace files that this program did not write."""
+    """Add the option --force of a command that writes files."""
     option("--force", action="store_true", help="replace a file that coldspray did not write")

@@ -1,4 +1,4 @@
-"""The command `coldspray coating`: measures of a coating, in a table, a picture and meshes."""
+"""The command `coldspray coating`: measures of a coating as tables, pictures and meshes."""
 
 import argparse
 import contextlib
@@ -18,19 +18,19 @@ def add(commands: Commands) -> None:
     text = "measure a coating: thickness, roughness, porosity, stress over depth"
     option = options.add_command(commands, "coating", run, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run of several impacts, finished or not")
-    option("--out", type=options.path, metavar="DIR", help="where the files go (default: DIR/coating)")
+    option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/coating)")
     option("--window", type=options.quantity("--window", "length"), metavar="L",
-           help='radius of the disc that is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
+           help='radius of the measured disc, such as "20 um" (default: 0.6 of the radius of the patch)')  # fmt: skip
     option("--section", type=options.quantity("--section", "length", positive=False), metavar="L",
-           help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
+           help="y of the cross-section (default: the plane that cuts the most particles)")  # fmt: skip
     option("--seeds", type=options.at_least_one, default=0, metavar="N",
-           help="first compute the coating with N other seeds, and give each measure its error from all (default: none)")  # fmt: skip
-    options.add_jobs(option, "runs at a time, each on one core")
+           help="first compute the coating with N other seeds, for the error of each measure (default: none)")  # fmt: skip
+    options.add_jobs(option, "runs at the same time")
     options.add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..files.outputs import claim_folder
     from ..files.result import Result
     from ..plan.reading import Scene
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         coating_files.section(result, splats, folder / "section.png", radius, heading, plane)
         coating_files.micrograph(splats, folder / "micrograph.png", radius, plane)
         coating_files.stress_profile(measures, folder / "stress.png")
-        with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks on the fields
+        with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks about fields
             meshes = coating_files.write_meshes(splats, folder)
     print("\n".join(describe(measures)))
     print(f"{', '.join(coating_files.NAMES[:-1])} and {len(meshes) - 1} surfaces in {folder}")
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe(measures: "CoatingMeasures") -> list[str]:
-    """The measures as lines for a terminal."""
+    """The measures as text lines for a terminal."""
     from ..studies.coating import lines
 
     table = [

@@ -1,4 +1,4 @@
-"""Metals from a csv table of others, as a library that scenes name: `coldspray materials --import`."""
+"""A library of metals for scenes from a csv table: `coldspray materials --import`."""
 
 import csv
 import io
@@ -12,19 +12,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ..physics.materials import Material
 
-COLUMNS = ("name", "A", "B", "n", "C", "m", "T_melt", "rho", "E", "nu", "source")  # that a table must have
-_OTHER_NAMES = {"T_melt": "T_m", "eps0_dot": "eps_dot_0"}  # of columns
+COLUMNS = ("name", "A", "B", "n", "C", "m", "T_melt", "rho", "E", "nu", "source")  # required
+_OTHER_NAMES = {"T_melt": "T_m", "eps0_dot": "eps_dot_0"}  # column -> name of the parameter
 _TEXTS = ("name", "source", "note")
-_USUAL = {"law": "johnson_cook", "eps_dot_0": "1 1/s", "T_ref": "298 K", "s": 0.0, "Gamma0": 0.0}  # without a column
+_USUAL = {"law": "johnson_cook", "eps_dot_0": "1 1/s", "T_ref": "298 K", "s": 0.0, "Gamma0": 0.0}  # defaults
 _HEAD = re.compile(r"([^\s(\[]+)\s*(?:[(\[]([^])]*)[])])?")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.,:;/()=&+ -]+")
 
 
 def write_library(table: Path, out: Path, force: bool) -> list[str]:
-    """Write the metals of a table into a TOML file. Returns a line about each.
-
-    Raises SceneError with every problem, by row and column.
-    """
+    """Write the metals of a csv table into a TOML file. Returns text lines about them. Raises SceneError with every problem, by row and
+    column."""
     from ..errors import SceneError
     from ..files.inputs import read_text
     from ..files.outputs import MARK, claim_file, write_text
@@ -33,18 +31,18 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
     try:
         tables, lines = _read(read_text(table), str(table))
     except csv.Error as error:
-        raise SceneError([f"is no csv table: {error}"], str(table)) from None
+        raise SceneError([f"is not a csv table: {error}"], str(table)) from None
     key = f"library = {json.dumps(out.name)}"
-    text = f"# {MARK} materials --import {table.name}\n# a scene names this file before its first table: {key}\n"
+    text = f"# {MARK} materials --import {table.name}\n# to use it, write before the first table of a scene: {key}\n"
     for name, values in tables.items():
         text += f"\n[materials.{json.dumps(name)}]\n"
         text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
     write_text(out, text)
-    return [*lines, f"written to {out}; a scene names it before its first table: {key}"]
+    return [*lines, f"written to {out}; to use it, write before the first table of a scene: {key}"]
 
 
 def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[str]]:
-    """The tables of a library from a csv text, and a line about each."""
+    """The tables of a library from a csv text: name -> values; and text lines about them."""
     from ..errors import SceneError
     from ..physics.materials import UNITS, from_scene
 
@@ -63,16 +61,16 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             continue
         found = [f"{name} is empty" for name in COLUMNS if name not in cells]
         if None in row:
-            found = [f"{COLUMNS[-1]} is followed by more cells: decimal commas need semicolons between the cells"]
+            found = [f"{COLUMNS[-1]} is followed by more cells: with decimal commas, separate the cells by semicolons"]
         values = {_OTHER_NAMES.get(name, name): _value(name, *cell, separator == ";") for name, cell in cells.items()}
         name = str(values.pop("name", "")).replace(" ", "_")
         if name in tables:
-            found.append("name stands in another row, too")
+            found.append("name is also in another row: give each metal another name")
         if not found:
             values, remark = _with_heat(name, _USUAL | values)
             catalogue, texts = from_scene({name: values})
             found = [text.partition(": ")[2] for text in texts]
-            # without what only follows from a faulty column
+            # problems of the given columns come first: others may only follow from them
             found = [text for text in found if text.split()[0] in values] or found
             if not found:
                 lines.append(_line(catalogue[name], remark))
@@ -81,12 +79,13 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             column = next((title for title, other in _OTHER_NAMES.items() if other == key), key)
             problems.append(f"row {reader.line_num} ({name[:40]}), column {column}: {problem}")
     if problems or not tables:
-        raise SceneError(problems or ["it has no rows"], file)
+        raise SceneError(problems or ["has no rows: give a row for each metal"], file)
     return tables, lines
 
 
 def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
-    """A cell as in a scene. unit: that of the head; else by its size: no metal has the same number in MPa and in Pa."""
+    """A cell as a value of a scene. unit: from the head of the column, None without one: then the magnitude of the number decides
+    between Pa, MPa and GPa. comma: it has decimal commas."""
     from ..physics.materials import UNITS
 
     if name in _TEXTS:
@@ -106,8 +105,8 @@ def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
 
 
 def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object], str]:
-    """The table with heat capacity and conductivity, if it lacks them those of the metal of the library that is nearest in density; a
-    remark about that."""
+    """The table of a metal with heat capacity and conductivity, and a remark. If they are missing, they are those of the metal of the
+    library with the nearest density."""
     from ..physics import materials
 
     usual: dict[str, object] = {"cp": "500 J/(kg K)", "k": "50 W/(m K)"}

@@ -1,4 +1,4 @@
-"""The command `coldspray critical`: the critical velocity of a scene, bracketed by runs."""
+"""The command `coldspray critical`: the critical velocity of a scene from runs at several velocities."""
 
 import argparse
 from functools import partial
@@ -6,28 +6,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import arguments as options
-from .arguments import Commands, jobs_of, quantity, remake, scene_of, share, study_folder, teller
+from .arguments import Commands, continuing, jobs_of, quantity, remake, scene_of, share, study_folder, teller
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
     from ..studies.critical import Bracket, Row
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
-_LIMITS = "10 m/s", "2000 m/s"  # those of a scene's particle
+_LIMITS = "10 m/s", "2000 m/s"  # as of particle.velocity in a scene
 _MOST_PLACEMENTS = 100
 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "bracket the velocity from which a particle with cohesive bonds sticks"
+    text = "compute the critical velocity: the least at which a particle with cohesive bonds sticks"
     option = options.add_study(commands, "critical", run, text)
     option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
     for name, text in (("low", "lowest"), ("high", "highest")):
         option(f"--{name}", type=quantity(f"--{name}", "velocity", limits=_LIMITS), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
     option("--repeat", type=partial(options.at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
-           help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
-    options.add_jobs(option, "runs at a time")
+           help="placements at each velocity: other positions of points and elements (default: 3)")  # fmt: skip
+    options.add_jobs(option, "runs at the same time")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,22 +52,18 @@ def run(arguments: argparse.Namespace) -> int:
         return critical.search(at, folder, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
 
     coarser: dict[int, Bracket] = {}
-    try:
+    with continuing(out, say):
         bracket, rows = search(scene, out)
         for points in companions(scene) if scene.resolution.error and bracket.velocity else ():
             say(f"the error of the resolution: the same search with {points} points")
             coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
-    except KeyboardInterrupt:
-        count = len(critical.rows_of(out / "runs"))
-        say(f"stopped; go on with the same command: {out / 'runs'} has {count} finished runs")
-        raise
     error = critical.resolution_error(scene, bracket, coarser)
     draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)
     if bracket.velocity is None and (slowest := critical.slowest_rebound(rows)) is not None:
         print(f"nearest to sticking: {slowest}")
     if arguments.repeat == 1:
-        print("one placement at each velocity: that its verdict may be chance is not in the band (--repeat 3)")
+        print("one placement at each velocity: the band does not include the scatter of verdicts (--repeat 3)")
     print(resolution := critical.resolution_words(scene, bracket, coarser))
     if coarser:
         write_rows(out / critical.TABLE, critical.COLUMNS, rows, f"{about}\n{bracket.words}\n{resolution}")

@@ -1,4 +1,4 @@
-"""The command `coldspray gas`: impact velocity and temperature over particle diameters, as a table, a file, a picture."""
+"""The command `coldspray gas`: impact velocity and temperature over particle diameters, as table, file and picture."""
 
 import argparse
 import textwrap
@@ -24,33 +24,35 @@ def add(commands: Commands) -> None:
     option = add_command(commands, "gas", run, "impact velocity and temperature from gas, nozzle and particle diameter")
     add_conditions(option)
     option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
-    option("--csv", type=path, metavar="FILE", help="write the table to a file too")
+    option("--csv", type=path, metavar="FILE", help="also write the table to a file")
     option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
     add_force(option)
 
 
 def add_conditions(option: Option) -> None:
-    """The options of gas, nozzle and material; `setup` reads them."""
+    """Add the options of gas, nozzle and material; `setup` reads them."""
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
     option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --library FILE")
     add_library(option)
-    option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
-    option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
+    option("--material", metavar="NAME", default="Ni", help="metal of the particle (default: Ni)")
+    option("--standoff", metavar="L", default="30 mm", help="distance of nozzle and target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
-    option("--powder-temperature", metavar="T", default="20 degC", help="of the powder when fed (default: 20 degC)")
+    option(
+        "--powder-temperature", metavar="T", default="20 degC", help="of the powder in the feeder (default: 20 degC)"
+    )
     option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
-    option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
+    option("--bow-shock", action="store_true", help="include a normal shock before the target")
 
 
 def add_library(option: Option) -> None:
-    """The option of a file of the user's own metals and nozzles; `own_tables` reads it."""
-    option("--library", type=path, metavar="FILE", help="metals and nozzles of your own, or a scene that has some")
+    """Add the option --library; `own_tables` reads it."""
+    option("--library", type=path, metavar="FILE", help="file with your own metals and nozzles, or a scene with some")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     spray = setup(arguments)
     flow, material, diameters = spray.flow, spray.metals[arguments.material], spray.diameters
     flights = spray.fly(material, diameters)
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Setup(NamedTuple):
-    """Input data of `gas` and `window`. metals: by name; diameters: m; fly(metal, diameters): the flights of its particles."""
+    """Input data of `gas` and `window`. metals: name -> metal; diameters: m; fly(metal, diameters): computes flights of particles."""
 
     flow: "Flow"
     metals: "dict[str, Material]"
@@ -72,8 +74,8 @@ class Setup(NamedTuple):
 
 
 def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
-    """Read the conditions, and check that the files of --csv and --png can be written. Messages use `command`, the name of the command,
-    and `sizes`, its option for diameters. Raises SceneError with every problem of the conditions."""
+    """Read the conditions, and check that the files of --csv and --png can be written. command, sizes: name of the command and of its
+    option for diameters, for messages. Raises SceneError with every problem of the conditions."""
     from ..errors import SceneError
     from ..files.outputs import claim_file
     from ..physics import materials
@@ -170,12 +172,12 @@ def _table(flow: "Flow", material: "Material", diameters: list[float], flights: 
 
 
 def conditions_of(flow: "Flow") -> str:
-    """Gas, pressure, temperature and nozzle, for the title of a picture."""
+    """Text: gas, pressure, temperature and nozzle, for the title of a picture."""
     return f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
 
 
 def _at_exit(flow: "Flow", flight: "Flight") -> float:
-    """The particle's velocity at the nozzle's exit, m/s: at its last point inside the nozzle."""
+    """Velocity of the particle at the exit of the nozzle, m/s."""
     return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
 
 
@@ -193,7 +195,7 @@ def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[floa
 
 
 def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
-    """Velocity and temperature of gas and particles over the axis, as a PNG."""
+    """Draw velocity and temperature of gas and particles along the axis as PNG."""
     from matplotlib import colormaps
 
     from ..report.picture import blank, save

@@ -1,4 +1,4 @@
-"""The command `coldspray`. Heavy packages are imported where used, so that --help answers at once."""
+"""The command `coldspray`. Heavy packages are imported where they are used, so that --help is fast."""
 
 import argparse
 import codecs
@@ -26,31 +26,31 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..progress import Progress
 
-# shared libraries that a wheel expects from the system
+# shared libraries of the system that wheels need
 _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
-_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # optional package -> extra that brings it
-_INTERRUPTED = 130  # as shells do: 128 + SIGINT
+_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # optional package -> extra that installs it
+_INTERRUPTED = 130  # 128 + SIGINT, as shells do
 _BROKEN_PIPE = 141
-_UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
-_PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals that lack these
+_UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
+_PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals without these characters
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more memory"
-_FURTHER = "go on until it is decided: coldspray resume {} --until TIME"
+_FURTHER = "continue until there is a verdict: coldspray resume {} --until TIME"
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
-    """Text in the characters that a terminal has."""
+    """Error handler of a text stream: replaces characters that a terminal lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line. argv: arguments without the program's name. Returns the exit code."""
+    """Run the command line. argv: arguments without the name of the program. Returns the exit code."""
     _prepare()
     words = sys.argv[1:] if argv is None else argv
     for word in words:
-        if re.search("[\udc80-\udcff]", word):  # bytes that are no text
+        if re.search("[\udc80-\udcff]", word):  # bytes that are not UTF-8
             return _fail(f"the name {word!a} is not in UTF-8: rename it", 2)
     try:
         parser = _parser()
@@ -90,11 +90,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _prepare() -> None:
-    """Replace what the environment lacks: standard streams, characters of a terminal, matplotlib's backend of a notebook."""
+    """Prepare the environment: open missing standard streams, handle characters that the terminal lacks, ignore a backend of matplotlib
+    for notebooks."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
-        except OSError:  # closed: the next file that is opened would take its place
+        except OSError:  # closed: else the next file that is opened gets its number
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r"))
@@ -105,7 +106,7 @@ def _prepare() -> None:
 
 
 def _flush() -> bool:
-    """Flush the standard streams. Text that cannot be written is dropped; returns whether all was written."""
+    """Flush the standard streams; text that cannot be written is lost. Returns whether all text was written."""
     done = True
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -117,7 +118,7 @@ def _flush() -> bool:
 
 
 def missing_library(error: Exception) -> str | None:
-    """The remedy for an import without its shared library or package; None for another error."""
+    """Message with the remedy for a missing package or shared library; None for another error."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         extra = _EXTRAS.get(error.name.split(".")[0])
         remedy = f"pip install coldspray[{extra}]" if extra else "set the environment up again with `make setup`"
@@ -138,46 +139,48 @@ def _parser() -> argparse.ArgumentParser:
     text = "print the version and exit"
     parser.add_argument("--version", action="version", version=f"coldspray {__version__}", help=text)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    text = "print what a scene would compute, and its cost; run nothing"
+    text = "print the plan of a scene and its cost, without a run"
     option = options.add_command(commands, "check", _check, text)
     options.add_scene(option)
-    options.add_verbose(option, "the number that decides each effect, and what leaving it out would change")
-    option("--recalibrate", action="store_true", help="time this machine anew for the estimate")
+    options.add_verbose(option, "the number that decides each effect, and the change without the effect")
+    option("--recalibrate", action="store_true", help="measure the speed of this machine again")
     option = options.add_command(commands, "run", _run, "compute a scene")
     options.add_scene(option)
     option("--out", type=options.path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     option("--force", action="store_true", help="replace a finished run, or files of the same names")
     accuracy.add_to_run(option)
     _add_running(option)
-    option = options.add_command(commands, "report", _report, "write all about a run as one HTML page")
+    option = options.add_command(commands, "report", _report, "write a run as one HTML page")
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     option("--out", type=options.path, metavar="FILE", help="the page (default: DIR/report.html)")
     options.add_force(option)
-    option = options.add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
+    option = options.add_command(
+        commands, "animate", _animate, "write a film of the cross-section of particle and target"
+    )
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     text = "an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
     option("--out", type=options.path, metavar="FILE", help=text)
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
-    option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
+    option("--fps", type=float, metavar="N", help="pictures in a second (default: for a film of 4 seconds)")
     options.add_force(option)
     text = "write the fields for tools that cannot read VTKHDF in time"
     option = options.add_command(commands, "export", _export, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     option("--format", choices=("pvd", "xdmf"), default="pvd",
            help="pvd (default): a .vtu file for each step, and their times; xdmf: all steps in two files for each domain")  # fmt: skip
-    option("--out", type=options.path, metavar="DIR", help="where the files go (default: DIR/<format>)")
+    option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/<format>)")
     options.add_force(option)
     option = options.add_command(commands, "compare", _compare, "print runs side by side and draw them")
     option("runs", type=options.path, nargs="+", metavar="DIR", help="folders of runs, two or more")
     option("--out", type=options.path, default=Path("comparison.png"), metavar="FILE",
            help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
     options.add_force(option)
-    text = "go on with an unfinished run, or one that is undecided"
+    text = "continue a run that is unfinished or undecided"
     option = options.add_command(commands, "resume", _resume, text)
     option("folder", type=options.path, metavar="DIR", help="folder of the run")
     option("--until", type=options.quantity("--until", "time"), metavar="TIME",
-           help='time to which its last impact goes on, such as "300 ns" (default: as long again as it has had, where that was its'
-           " time limit; a run that is at its own end, and undecided, goes on with --until only)")  # fmt: skip
+           help='time until which the last impact continues, such as "300 ns" (default: the same time again, for a run that ended at'
+           " its time limit; a run that met its end criterion without a verdict needs --until)")  # fmt: skip
     _add_running(option)
     for command in (new, job, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
@@ -187,20 +190,20 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_running(option: Option) -> None:
-    """The options of `run` and `resume`."""
+    """Add the options that `run` and `resume` share."""
     options.add_quiet(option)
     options.add_verbose(option, "all measures at the end, not only those that converge")
     option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
-    options.add_jobs(option, "impacts of a batch at a time, which share the threads; `check` prints the batches")
+    options.add_jobs(option, "impacts of a batch at the same time, which share the threads; `check` prints the batches")
     option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
-    option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
-    option("--no-error", action="store_true", help="do not measure the error: compute no coarser runs beside this one")
+    option("--skip-failed", action="store_true", help="leave out an impact that fails, if there are several")
+    option("--no-error", action="store_true", help="do not measure the error: compute no coarser runs")
 
 
 class _Parser(argparse.ArgumentParser):
-    """Argument parser of which only the first of several ranks prints an error."""
+    """Argument parser whose errors only the first MPI rank prints."""
 
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():
@@ -249,9 +252,9 @@ def _resume(arguments: argparse.Namespace) -> int:
     from ..files.result import Result
 
     if arguments.until is None and (result := Result(arguments.folder)).at_own_end:
-        resume(arguments.folder, quiet=True)  # completes the files of a run that was ended before
+        resume(arguments.folder, quiet=True)  # completes missing files
         if is_first_rank():
-            at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), its verdict is undecided"
+            at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), and its verdict is undecided"
             print(f"{at}; {_FURTHER.format(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
         return 0
     more = {"until": arguments.until, "skip_failed": arguments.skip_failed, "error": not arguments.no_error}
@@ -259,7 +262,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
-    """Run or resume, show the progress, print the results."""
+    """Run or resume by `work`, show the progress, print the results. Returns the exit code."""
     from ..files import checkpoint
     from ..files.store import SUMMARY
     from ..progress import Progress
@@ -270,7 +273,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         result = work(progress=progress, threads=arguments.threads, checkpoint_every=every, jobs=jobs)
     except KeyboardInterrupt as interrupt:
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
-        saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # whole, but for its error
+        saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # a summary: only the error is missing
         return _fail(_stopped(progress, out, saved), 128 + number)
     finally:
         progress.stop()
@@ -333,31 +336,14 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     from ..files.outputs import claim_file
     from ..files.result import Result
-    from ..report.compare import check_count, compare, comparison_picture, comparison_table
+    from ..report.compare import check_count, compare, comparison_table
 
     check_count(len(arguments.runs))
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
-    try:
-        with reading("the runs"), options.working("drawing the runs"):
-            results = [Result(folder) for folder in arguments.runs]
-            table = comparison_table(results)
-            compare(results, arguments.out)
-    except ColdsprayError:  # leave out the runs that cannot be compared with themselves
-        sound, problems = [], dict[str, None]()
-        for folder in arguments.runs:
-            try:
-                with reading(folder):
-                    pair = [Result(folder)] * 2
-                    comparison_table(pair)
-                    comparison_picture(pair)
-                sound += pair[:1]
-            except ColdsprayError as error:
-                problems[f"left out: {error}"] = None
-        if len(sound) < 2 or not problems:
-            raise
-        table = comparison_table(sound)
-        compare(sound, arguments.out)
-        print(*problems, sep="\n", file=sys.stderr)
+    with reading("the runs"), options.working("drawing the runs"):
+        results = [Result(folder) for folder in arguments.runs]
+        table = comparison_table(results)
+        compare(results, arguments.out)
     Console().print(table)
     print(f"comparison in {arguments.out}")
     return 0
@@ -378,7 +364,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
     go_on = f"; continue with coldspray resume {out}" if saved else ""
-    if progress.time != progress.time:  # nan, also on a rank that does not know the time
+    if progress.time != progress.time:  # nan: no step, or a rank without the time
         return ("stopped" if saved else "stopped before the first step") + go_on
     return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
 

@@ -18,27 +18,27 @@ DRAWN = QUANTITIES[:4]
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "map", run, "draw maps of a sweep, or of any folder of runs")
-    text = "folder of a sweep, finished or not, or any folder of runs' folders"
+    text = "folder of a sweep, finished or not, or any folder with folders of runs"
     option("folder", type=path, metavar="DIR", help=text)
     option("--show", nargs="+", choices=QUANTITIES, default=DRAWN, metavar="QUANTITY",
-           help=f"what to draw, of {', '.join(QUANTITIES)} (default: {', '.join(DRAWN)})")  # fmt: skip
+           help=f"measures to draw: {', '.join(QUANTITIES)} (default: {', '.join(DRAWN)})")  # fmt: skip
     option("--axes", nargs="+", default=(), metavar="KEY",
-           help="keys of the scene, such as particle.velocity contact.friction (default: velocity, diameter and temperature,"
-           " those that vary)")  # fmt: skip
+           help="keys of the scene, such as particle.velocity contact.friction (default: those of velocity, diameter and"
+           " temperature that vary)")  # fmt: skip
     option("--refine", type=int, default=0, metavar="N",
-           help="first run the N points that tell most of the first quantity, one after another")  # fmt: skip
+           help="first compute N new points where the first quantity is least certain, one after another")  # fmt: skip
     add_force(option)
-    option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
+    option("--out", type=path, metavar="DIR", help="folder of map.csv and pictures (default: the folder of the runs)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..errors import StoreError
     from ..files.outputs import MARK, check_folder, claim_file, kind_of
     from ..studies import map_figures, maps, runs_table
 
     if kind_of(arguments.folder) == "run":
-        raise StoreError(f"{arguments.folder} is the folder of a single run: name the folder that holds several")
+        raise StoreError(f"{arguments.folder} is the folder of a single run: give a folder that holds several runs")
     if arguments.refine < 0:
         raise StoreError(f"--refine {arguments.refine}: give the number of points to run, zero or more")
     rows, axes = _table(arguments)
@@ -66,14 +66,14 @@ def run(arguments: argparse.Namespace) -> int:
     with working("interpolating and drawing"):
         lines = map_figures.draw(rows, out, arguments.show, axes)
     print("\n".join(lines))
-    # last: whoever waits for the table finds the pictures beside it
+    # the table last: once it exists, the pictures do
     runs_table.write_table(rows, out / "map.csv", f"{MARK} map; SI units", axes)
     print(f"table in {out / 'map.csv'}")
     return 0
 
 
 def _table(arguments: argparse.Namespace) -> "tuple[list[Row], tuple[str, ...]]":
-    """The rows of the folder, and the axes that were asked for."""
+    """The rows of the folder, and the axes of --axes."""
     from ..files.inputs import reading
     from ..studies import runs_table
 

@@ -1,4 +1,4 @@
-"""The command `coldspray materials`: the metals of the library, all about one of them, and metals from a table of others."""
+"""The command `coldspray materials`: list the metals of the library, show one of them, import metals from a table."""
 
 import argparse
 import textwrap
@@ -16,10 +16,10 @@ _STATES = ((0.2, 1e3, 300.0), (0.2, 1e7, 300.0), (0.2, 1e7, 600.0))  # plastic s
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "materials", run, "metals of the library, their strength sets and sources")
-    option("name", nargs="?", metavar="NAME", help="all about one metal (default: list all)")
+    option("name", nargs="?", metavar="NAME", help="show one metal (default: list all)")
     option("--import", type=path, dest="table", metavar="FILE",
-           help=f"write a library for scenes of a csv table with the columns {', '.join(COLUMNS)}")  # fmt: skip
-    option("--out", type=path, metavar="FILE", help="the library (default: the name of the table with .toml)")
+           help=f"write a library for scenes from a csv table with the columns {', '.join(COLUMNS)}")  # fmt: skip
+    option("--out", type=path, metavar="FILE", help="file of the library (default: name of the table with .toml)")
     add_force(option)
 
 
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _listed(entries: "list[Entry]") -> list[str]:
-    """A line for each strength set."""
+    """Text lines: one for each strength set."""
     lines = [f"{'metal':9} {'strength set':19} {'law':22} fitted"]
     for known in entries:
         for i, metal in enumerate(known.materials):
@@ -51,14 +51,14 @@ def _listed(entries: "list[Entry]") -> list[str]:
         *lines,
         "",
         *textwrap.wrap(f"Other names: {others}.", 118),
-        "The symbol and the name of an element are one metal of the list: Al is the alloy 6061-T6, Al1100 nearly pure aluminium.",
-        'The first set is the default; [materials.NAME] names another: strength = "Preston_2003", or a law.',
-        "coldspray materials NAME: numbers, sources and flow stresses of one",
+        "The symbol and the name of an element mean one metal of the list: Al is the alloy 6061-T6, Al1100 nearly pure aluminium.",
+        'The first set is the default; [materials.NAME] in a scene selects another: strength = "Preston_2003", or a law.',
+        "coldspray materials NAME: numbers, sources and flow stresses of a metal",
     ]
 
 
 def _explained(known: "Entry") -> list[str]:
-    """Description of one metal: numbers, sources, strength sets, flow stresses."""
+    """Text lines about one metal: numbers, sources, strength sets, flow stresses."""
     metal, show = known.material, _value
     moduli = {"G": metal.G, "K": metal.K, "E": metal.E}
     lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]
@@ -81,7 +81,7 @@ def _explained(known: "Entry") -> list[str]:
 
 
 def _set(metal: "Material") -> list[str]:
-    """A strength set: its parameters, its range, flow stresses."""
+    """Text lines about a strength set: parameters, range, flow stresses."""
     from ..physics.strength import LAWS
     from ..units import rounded
 

@@ -1,4 +1,4 @@
-"""The commands `coldspray new`, `shapes`, `nozzles`, `schema` and `completion`: what a scene is written with."""
+"""The commands `coldspray new`, `shapes`, `nozzles` and `schema`: help to write a scene."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ KINDS = {
     "single": "one particle on a flat target",
     "pair": "two particles, one onto the other",
     "coating": "particles drawn from a seed, with a gas and a nozzle",
-    "job": "a question on one page: does it stick, how much of it, what coating?",
+    "job": "a question with an answer on one page: does a powder stick, how much of it, which coating?",
     "map": "a sweep over velocity and temperature",
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
@@ -38,20 +38,20 @@ def add(commands: Commands) -> None:
     """Add the commands to a parser's subcommands."""
     option = add_command(commands, "new", new, "write a commented scene that runs")
     option("kind", nargs="?", choices=(*KINDS, *EXAMPLES), metavar="KIND", help=f"{', '.join(KINDS)}, or an example")
-    option("name", nargs="?", type=path, metavar="NAME", help="of the file, without or with its ending")
+    option("name", nargs="?", type=path, metavar="NAME", help="name of the file, with or without its ending")
     option("--list", action="store_true", help="print the kinds and the examples, a line each")
     option("--force", action="store_true", help="replace a file of this name")
     add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
     option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
     add_library(option)
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
-    option("--of", choices=("scene", "job"), default="scene", help="whose: of scenes (default), or of jobs")
-    option("--out", type=path, metavar="FILE", help="write it there, as .json")
+    option("--of", choices=("scene", "job"), default="scene", help="schema of scenes (default) or of jobs")
+    option("--out", type=path, metavar="FILE", help="write the schema to this .json file")
     add_force(option)
 
 
 def new(arguments: argparse.Namespace) -> int:
-    """Write a scene, and the schema beside it. Returns the exit code."""
+    """Write an example file, and beside a scene the schema. Returns the exit code."""
     from ..files.outputs import claim_file, write_text
 
     kind, name = arguments.kind, arguments.name
@@ -74,7 +74,7 @@ def new(arguments: argparse.Namespace) -> int:
     else:
         text = (files(__package__) / "templates" / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", out.stem)
     write_text(out, text)
-    print(f"{(KINDS | EXAMPLES)[kind]} in {out}{'; its first lines say how to go on' if kind in KINDS else ''}")
+    print(f"{(KINDS | EXAMPLES)[kind]} in {out}{'; its first lines give the next command' if kind in KINDS else ''}")
     if text.startswith("#:schema"):
         write_text(claim_file(out.parent / SCHEMA, (".json",), force=arguments.force), _schema())
         print(f"{SCHEMA} beside it, for editors that check TOML")
@@ -129,7 +129,7 @@ def _example(name: str) -> str:
 
 
 def _points(name: str) -> str:
-    """A lens of points on a cubic lattice, 34 x 34 x 12 um, as a table in um."""
+    """A table (text, um) of points on a cubic lattice in an ellipsoid of 34 x 34 x 12 um."""
     step, (a, c) = 1.5, (17.0, 6.0)
     reach = [[step * (k + 0.5) for k in range(-n, n)] for n in (12, 12, 4)]
     points = [(x, y, z) for x, y, z in product(*reach) if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0]

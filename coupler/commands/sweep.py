@@ -1,4 +1,4 @@
-"""The command `coldspray sweep`: many runs of one scene, and the distribution of what comes out of them."""
+"""The command `coldspray sweep`: many runs of one scene, and the distributions of their measures."""
 
 import argparse
 import sys
@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from ..studies.runs_table import Row
     from ..studies.sweep import Sweep
 
-_PLANNED = 20  # points whose plans stand for all in the forecast
-_START = 2.0  # s: start of a run's process
+_PLANNED = 20  # points whose plans represent all in the forecast
+_START = 2.0  # s: start of the process of a run
 OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "sweep", run, "compute all points of a sweep; finished ones are kept")
+    option = add_command(commands, "sweep", run, "compute the points of a sweep that are not finished")
     text = "file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
     option("sweep", type=path, metavar="FILE", help=text)
     option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
-    add_jobs(option, "runs at a time")
+    add_jobs(option, "runs at the same time")
     option("--executor", default="processes", metavar="WHERE",
-           help="processes (here; default), mpi (ranks of one allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep ...),"
-           " or slurm (jobs that take one run after another)")  # fmt: skip
+           help="processes (this machine; default), mpi (ranks of an allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep"
+           " ...), or slurm (jobs that compute one run after another)")  # fmt: skip
     option("--slurm", type=_slurm_option, action="append", default=[], metavar="KEY=VALUE",
-           help="of the Slurm jobs, may be repeated: cores=32 (runs at a time in a job; default 1), time=04:00:00 (default"
-           " 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
-    text = "compute points anew whose scene is another one than that of the results"
+           help="option of the Slurm jobs, may be repeated: cores=32 (runs at the same time in a job; default 1), time=04:00:00"
+           " (default 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
+    text = "compute points again if their results belong to another scene"
     option("--force", action="store_true", help=text)
     add_quiet(option)
 
@@ -46,7 +46,7 @@ def _slurm_option(text: str) -> tuple[str, str]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..core.executors import executor
     from ..core.signals import interrupted_by
     from ..errors import PlacementError, StoreError
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = arguments.out or Path("runs") / sweep.name
     if arguments.slurm and arguments.executor != "slurm":
         raise PlacementError(
-            f"--slurm needs --executor slurm, the executor is {arguments.executor}: leave --slurm out, or give --executor slurm"
+            f"--slurm: the executor is {arguments.executor}: leave --slurm out, or give --executor slurm"
         )
     claim_folder(out, "sweep", OUTPUTS, force=None)
     if (others := of_another_scene(out, sweep.points)) and not arguments.force:
@@ -82,12 +82,12 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(summary))
     stopped = sum(status == "stopped" for status in statuses.values())
     if stopped:
-        print(f"{stopped} of {len(statuses)} runs have no end: the same command goes on with them")
+        print(f"{stopped} of {len(statuses)} runs are not finished: the same command continues them")
     return 3 if stopped else 0
 
 
 def _forecast(sweep: "Sweep", jobs: int) -> str:
-    """The number of points and the wall time of all, `jobs` at a time here; 0: elsewhere."""
+    """Text: number of points, and wall time for all with `jobs` runs at the same time on this machine; jobs 0: on others, no time."""
     from ..plan.planning import plan
     from ..plan.reading import Scene
     from ..plan.text import duration
@@ -105,7 +105,7 @@ def _forecast(sweep: "Sweep", jobs: int) -> str:
 
 
 def _teller(progress: "Progress", points: int, is_quiet: bool) -> Callable[[str], None]:
-    """Takes lines "k/n point: ...": on a terminal above a bar, else on standard output."""
+    """A function for lines "k/n point: ...". On a terminal it prints them above a progress bar, else on standard output."""
 
     def tell(text: str) -> None:
         if not is_quiet and progress.quiet:
@@ -119,7 +119,7 @@ def _teller(progress: "Progress", points: int, is_quiet: bool) -> Callable[[str]
 
 
 def summarise(sweep: "Sweep", out: Path) -> list[str]:
-    """Write the table of all points, of an ensemble also the distributions, into a folder. Returns lines for the user."""
+    """Write the table of all points, and for an ensemble the distributions, into a folder. Returns text lines."""
     from ..files.outputs import MARK
     from ..studies import distribution, runs_table
 
@@ -144,7 +144,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
-    """The distributions in columns; error: of the resolution, the median over the runs that measure it."""
+    """The distributions as aligned text lines; error: median of the errors from the resolution."""
     from ..studies.table import in_columns
 
     head = ("", "runs", "mean", "deviation", "error", "5 %", "median", "95 %", "unit", "strongest rank correlation")

@@ -1,4 +1,4 @@
-"""The command `coldspray watch`: shows a run while it is computed, from its files alone."""
+"""The command `coldspray watch`: shows the state of a running run from its files."""
 
 import argparse
 import time
@@ -14,7 +14,7 @@ from .arguments import Commands, add_command, add_force, path, seconds
 if TYPE_CHECKING:
     from ..files.result import Result
 
-SILENT = 60.0  # s after which a run may have been stopped
+SILENT = 60.0  # s without a new file, after which a run may be stopped
 # column of the history: label, factor, unit
 _SHOWN = {
     "height": ("height above surface", 1e6, "um"), "crater_depth": ("crater depth", 1e6, "um"),
@@ -27,17 +27,17 @@ _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "show a run while it is computed: measures, energies, time to go; writes nothing into its folder"
+    text = "show measures, energies and remaining time of a running run; writes nothing into its folder"
     option = add_command(commands, "watch", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run")
-    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="between two readings (default: 5)")
-    option("--picture", type=path, metavar="FILE", help="a .png file for the section, drawn anew with each stored step")
+    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="time between two readings (default: 5)")
+    option("--picture", type=path, metavar="FILE", help="a .png file for the cross-section, drawn for each stored step")
     option("--once", action="store_true", help="read once")
     add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show a run until it is finished. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Show a run until it is finished. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from rich.console import Console
     from rich.live import Live
 
@@ -73,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 @lru_cache(maxsize=1)
 def _coating(run: Path, impact: int) -> str:
-    """A line on the coating that the impacts before this one have built, its break first; "" before the second impact."""
+    """Text line, with a line break before it, about the coating before an impact; "" before the second impact. Cached, as the coating
+    changes only with the impact."""
     from ..files.result import Result
     from ..studies import coating_growth
 
@@ -81,7 +82,7 @@ def _coating(run: Path, impact: int) -> str:
 
 
 def _written(path: Path) -> float:
-    """When a file was written last; 0 for one that is gone, such as an earlier checkpoint."""
+    """Time of the last change of a file; 0 for a file that does not exist any more, such as an earlier checkpoint."""
     try:
         return path.stat().st_mtime
     except FileNotFoundError:
@@ -89,19 +90,22 @@ def _written(path: Path) -> float:
 
 
 def state(result: "Result") -> str:
-    """The last line of the log, the last row of the history and its ledger over the energy at the start, as lines of text."""
+    """Text: last line of the log, last row of the history, and terms of the ledger over the kinetic energy at the start of the
+    impact."""
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     lines = [_last_line(result.directory / "run.log")]
     age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
     if age > SILENT:
-        lines.append(f"nothing written for {age:.0f} s: if it was stopped, coldspray resume {result.directory} goes on")
+        lines.append(
+            f"no new data for {age:.0f} s: if it was stopped, coldspray resume {result.directory} continues it"
+        )
     if not len(history.get("time", ())):
         return "\n".join([*lines, "no row of the history yet"])
     lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}")
     lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
-    parts = {}  # the column of a term, or the columns of both domains
+    parts = {}  # of a term in one column, or in a column for each domain
     for name in _LEDGER:
         columns = [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
         parts[name] = sum(history[column][-1] for column in columns)
@@ -111,7 +115,7 @@ def state(result: "Result") -> str:
 
 
 def _last_line(log: Path) -> str:
-    """The last line of a log, "" if there is none."""
+    """The last line of a log; "" without one."""
     with suppress(StoreError):
         return (read_text(log).strip().splitlines() or [""])[-1]
     return ""

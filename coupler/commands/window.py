@@ -1,4 +1,4 @@
-"""The command `coldspray window`: a spray's particles between critical and erosion velocity, and its deposition efficiency."""
+"""The command `coldspray window`: a powder between critical and erosion velocity, and its deposition efficiency."""
 
 import argparse
 from pathlib import Path
@@ -18,20 +18,20 @@ COLUMNS = ("share", "diameter_um", "velocity_m_s", "temperature_K", "critical_ve
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "where a spray's particles lie in the window of deposition, and the deposition efficiency"
+    text = "compare a powder at impact with the deposition window; deposition efficiency"
     option = add_command(commands, "window", run, text)
     gas.add_conditions(option)
     option("--powder", nargs=3, metavar=("D10", "D50", "D90"), required=True, dest="diameter",
-           help='diameters below which 10, 50 and 90 %% of the mass are, such as "15 um" "25 um" "40 um"')  # fmt: skip
-    option("--substrate", metavar="NAME", help="metal under the first layer, for its verdict")
+           help='diameters that are larger than 10, 50 and 90 %% of the mass, such as "15 um" "25 um" "40 um"')  # fmt: skip
+    option("--substrate", metavar="NAME", help="metal of the substrate, for the verdict on the first layer")
     option("--within", default="20%", metavar="PERCENT", help='uncertainty of the critical velocity (default: "20%%")')
-    option("--csv", type=path, metavar="FILE", help="write a row for each class of the powder")
+    option("--csv", type=path, metavar="FILE", help="write a table with a row for each class of the powder")
     option("--png", type=path, metavar="FILE", help="draw velocity over temperature at impact, with the limits")
     add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..errors import SceneError
     from ..spray import window
     from ..spray.sizes import Sizes
@@ -73,7 +73,7 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
 
 
 def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
-    """Deposition efficiency at a factor on the critical velocity, and which line the rest of the mass crosses."""
+    """Text: deposition efficiency at a factor on the critical velocity, and the mass below and above the window."""
     from ..spray.window import ERODES, EROSION
 
     fates = spray.fates(factor)
@@ -84,7 +84,7 @@ def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
 
 
 def _verdict(spray: "Spray") -> str:
-    """Shares of the mass by their verdict on the substrate, and the formula for the median particle."""
+    """Text: shares of the mass by verdict on the substrate, and the formula for the median particle."""
     median = spray.formula[len(spray.formula) // 2]
     head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
     shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
@@ -103,8 +103,9 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
-    """Velocity over temperature at impact as a PNG: the powder's classes, and the limits for its median diameter (m). A class above its
-    own critical velocity, which falls with the diameter, is filled. conditions: gas and nozzle, for the title."""
+    """Draw velocity over temperature at impact as PNG: the classes of the powder, and the limits for its median diameter (m). Filled
+    classes are above their own critical velocity, which depends on the diameter. within: as of `text_of`; conditions: gas and nozzle,
+    for the title."""
     import numpy as np
     from matplotlib import colormaps
     from matplotlib.colors import Normalize

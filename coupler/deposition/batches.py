@@ -1,4 +1,4 @@
-"""The impacts of a batch, each on its own cut of the target, side by side in processes."""
+"""The impacts of a batch, computed at the same time in processes, each on its own sub-domain of the target (`target.cut`)."""
 
 import contextlib
 import shutil
@@ -21,13 +21,13 @@ from ..target.cut import Cut, cut_out
 from ..target.positions import points_of_impact
 from .task import SPARE, STOP, Task, TaskResult, run_alone
 
-TASKS = "impacts"  # folder of the tasks in that of the run
-_POLL = 0.5  # s between two looks for a signal
+TASKS = "impacts"  # folder of the tasks, in the folder of the run
+_POLL = 0.5  # s between two checks for a signal
 
 
 @dataclass(frozen=True)
 class Done:
-    """A task that has ended: its cut and its result, or its error if it failed."""
+    """A task that has ended. cut: its sub-domain; result: its error if it failed."""
 
     task: Task
     cut: Cut
@@ -35,7 +35,7 @@ class Done:
 
     @property
     def of(self) -> TaskResult:
-        """The result. Raises the error of a task that has failed."""
+        """The result. Raises the error of a task that failed."""
         if isinstance(self.result, ColdsprayError):
             raise self.result
         return self.result
@@ -43,7 +43,7 @@ class Done:
 
 @contextlib.contextmanager
 def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor | None]:
-    """The executor for batches; None if all impacts are computed in this process."""
+    """Context with the executor for batches; None if all impacts are computed in this process."""
     widest = max(batch.stop - batch.first for batch in plan.batches)
     if min(options.jobs, widest) == 1 or options.ranks.size > 1 or options.probe is not None:
         yield None
@@ -55,8 +55,8 @@ def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor 
 def tasks(
     plan: Plan, batch: Batch, whole: Bodies, folder: Path, about: Mapping[str, str]
 ) -> Iterator[tuple[Task, Cut]]:
-    """The impacts of a batch, as far as their cuts of the whole share no node; each cut is made when it is asked for. folder, about: of
-    the run, as in `Task`."""
+    """The impacts of a batch with their sub-domains, up to the first whose sub-domain shares a node with an earlier one. whole: the
+    full domain; folder: of the run; about: as in `Task`. A generator: each sub-domain is made when it is requested."""
     taken = np.zeros(len(whole.target.nodes.x), bool)
     numbers = range(batch.first, batch.stop)
     places = points_of_impact(whole, [plan.impacts[i].offset for i in numbers])
@@ -72,11 +72,11 @@ def tasks(
 def side_by_side(
     pool: Executor, found: Iterator[tuple[Task, Cut]], folder: Path, options: RunOptions, meanwhile: Callable[[], None]
 ) -> list[Done]:
-    """Compute the tasks `found` in processes; the file STOP in the folder stops them.
+    """Compute the tasks `found` in processes.
 
-    Each task begins as soon as its cut is made: workers do not wait for the cuts of others. Those at a time share the threads of the
-    run; as tasks end the file SPARE gives more of them to each that is left. meanwhile(): called once, while they compute. Raises
-    Stopped after a signal, WorkerError where a process is ended from outside.
+    Each task starts as soon as its sub-domain is made. The running tasks share the threads of the run; when tasks end, the file SPARE
+    gives their threads to the others. The file STOP stops all tasks. meanwhile(): called once while the tasks run. Raises Stopped after
+    a signal, WorkerError if a process is ended from outside.
     """
     begun = list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
     stop, spare = folder / STOP, folder / SPARE
@@ -108,7 +108,7 @@ def side_by_side(
             which = f"impacts {begun[0][0].i + 1} to {begun[-1][0].i + 1}" if begun else "impacts"
             raise WorkerError(
                 f"a process that computed one of the {which} was ended from outside, perhaps because memory ran out. The results so"
-                f" far are kept: continue with coldspray resume {folder.parent}, with fewer --jobs if memory is short"
+                f" far are stored: continue with coldspray resume {folder.parent}, with fewer --jobs if memory is short"
             ) from error
         except BaseException:
             with contextlib.suppress(OSError):
@@ -117,7 +117,7 @@ def side_by_side(
 
 
 def clear(folder: Path, impacts: int | None = None) -> None:
-    """Remove the folders of the tasks of a run: of its first so many impacts, or all."""
+    """Remove the folders of the tasks of a run. impacts: only those of this many first impacts; default: all."""
     if impacts is None:
         shutil.rmtree(folder / TASKS, ignore_errors=True)
         return

@@ -1,8 +1,8 @@
-"""Mass that is lost later: splats whose bonds have broken leave the coating.
+"""Splats that leave the coating because their bonds are broken.
 
-A splat is attached where a path of unbroken bonds leads from it to the substrate (`Bodies.attached`). One that is not, after an impact,
-at rest or in the closing stage, leaves with its state: in the spray nothing keeps it. With kind "tied" nothing comes off, and only a
-particle that has glanced off without a bond leaves; with "none" splats lie where they are.
+A splat is attached if a path of unbroken bonds leads from it to the substrate (`Bodies.attached`). A splat that is not attached
+after an impact, at rest or in the closing stage is removed. With adhesion of kind "tied" only a particle that rebounds without a
+bond leaves; with "none" all splats stay.
 """
 
 import numpy as np
@@ -16,15 +16,15 @@ REASON = "no path of unbroken bonds leads to the substrate"
 
 
 def release_time(plan: Plan) -> float:
-    """Time (s) for which the energy released after joining is observed: a wave crosses the largest particle, of 25 um at the most."""
+    """Time (s) for which the energy that joining releases is observed: a wave crosses the largest particle (at most 25 um)."""
     return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
 def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tuple[Bodies, list[Values]]:
-    """The bodies less the splats that are not attached, and a record of each such splat.
+    """The bodies without the splats that are not attached, not in equilibrium; and a record of each removed splat.
 
-    number: of the last impact; stage: in which their bonds have broken. A record: splat and by_impact (numbers of impacts), stage,
-    bodies and mass_kg that leave, their velocity_z_m_s, the reason. What is left is not in equilibrium.
+    number: of the last impact; stage: in which the bonds broke. Keys of a record: splat and by_impact (numbers of impacts), stage,
+    bodies and mass_kg (removed), velocity_z_m_s, reason.
     """
     if plan.adhesion.kind == "none" or (attached := bodies.attached()).all():
         return bodies, []
@@ -43,8 +43,8 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
 
 
 def held_at_rest(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
-    """Bodies at rest without those that are not attached: the others come to rest again, until all are attached. Arguments as for
-    `without_detached`; kinetic_0: J of the impact."""
+    """The bodies at rest without splats that are not attached, and the records of these. After each removal the others come to rest
+    again, until all are attached. Arguments as for `without_detached`; kinetic_0: initial kinetic energy of the impact, J."""
     records: list[Values] = []
     while True:
         bodies, detached = without_detached(plan, bodies, number, stage)

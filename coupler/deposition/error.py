@@ -1,4 +1,4 @@
-"""The error of a run, measured on that run: the same scene at fewer points, computed beside it or after it."""
+"""The error of a run from coarser runs: the same scene with fewer points, computed at the same time or afterwards."""
 
 import contextlib
 import json
@@ -24,14 +24,14 @@ from ..plan.planning import Plan
 from ..plan.reading import Scene
 from ..plan.refinement import at_points, error, has_error
 
-FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
-# of scene, folder, contact stiffness, numerics, threads
+FOLDER = "coarser"  # folder of the coarser runs, in the folder of the run; removed once the error is known
+# arguments: scene, folder, contact stiffness, numerics, threads
 Compute = Callable[[Scene, Path, float, Mapping[str, float], int], None]
 
 
 @dataclass
 class Companions:
-    """The coarser runs of a run. folder, numerics: of the run; compute: what computes a scene, for any process."""
+    """The coarser runs of a run. plan, folder, numerics: of the run; compute: function that computes a scene in any process."""
 
     plan: Plan
     folder: Path
@@ -40,12 +40,12 @@ class Companions:
     _process: BaseProcess | None = None
 
     def begin(self, on_another_core: bool) -> None:
-        """Called when the folder of the run is made: remove the coarser runs of an earlier run; on another core, start a process."""
+        """Remove the coarser runs of an earlier run. on_another_core: start a process that computes the coarser runs."""
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
             script = sys.modules["__main__"]
-            # else the process runs a script without a main guard again
+            # else the new process would execute a script without a main guard again
             sys.modules["__main__"] = ModuleType("__main__")
             try:
                 with without_interrupts():
@@ -62,7 +62,7 @@ class Companions:
             self._process = None
 
     def measure(self, threads: int) -> None:
-        """Put the error of each measure into the summary of the finished run; coarser runs that do not exist are computed here."""
+        """Add the error of each measure to the summary of the finished run. Missing coarser runs are computed in this process."""
         if self._process is not None:
             self._process.join()
         found = self.all(threads)
@@ -73,7 +73,7 @@ class Companions:
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
     def all(self, threads: int) -> dict[int, Summary | str]:
-        """Points of each coarser run -> its summary, or the reason why it has none."""
+        """Number of points -> summary of the coarser run, or the reason why it failed."""
         scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name) if self.plan.companions else None
         return {n: self._one(scene, n, threads) for n in self.plan.companions if scene is not None}
 
@@ -102,8 +102,8 @@ def _in_own_process(companions: Companions, parent: int) -> None:
 
 
 def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
-    """Put into a summary the errors that follow from coarser runs (points -> summary, or the reason why none), the finer first:
-    `errors` of each impact, `error` of the run, and a warning where a verdict depends on the resolution."""
+    """Add to a summary the errors that follow from coarser runs: `errors` of each impact, `error` of the run, and a warning if a
+    verdict depends on the resolution. coarser: number of points -> summary or reason of the failure, the finer run first."""
     whole = [found for found in coarser.values() if not isinstance(found, str)]
     whole = [found for found in whole if len(found["impacts"]) == len(summary["impacts"])]
     reasons = [f"{points} points: {found}" for points, found in coarser.items() if isinstance(found, str)]
@@ -121,8 +121,8 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
-    """Measure -> half_width, its error in its own unit; order of the extrapolation; coarser: values of the coarser runs. levels: the
-    measures of an impact, of the run itself first, each level coarser than the one before."""
+    """Measure -> {"half_width": error, SI; "order": of the extrapolation; "coarser": values of the coarser runs}. levels: the
+    measures of an impact at each resolution, the finest first. Measures without values at two resolutions are left out."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

@@ -1,4 +1,4 @@
-"""The fold over the batches of a plan: each takes a target and leaves one with its splats, and a record of each impact."""
+"""The deposition: each batch of impacts of a plan turns a target into one with its splats, and gives a record of each impact."""
 
 import hashlib
 import time as clock
@@ -37,8 +37,8 @@ from .task import Task, TaskFiles, TaskState, attempt
 
 @dataclass(frozen=True)
 class DepositionState:
-    """State of a run before a batch of impacts: the bodies, how much of the files is written, records and reports of the finished
-    impacts; wall time so far, s; within: of an impact on the whole target that has begun since."""
+    """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: of the finished impacts;
+    wall: wall time so far, s; within: state of an impact on the full domain that has started since, None without one."""
 
     bodies: BodiesState
     store: StoreState
@@ -49,35 +49,35 @@ class DepositionState:
 
 
 class Deposition:
-    """Batches of impacts one after another, on the rank that has the target.
+    """The sequence of batches, on the rank that has the target.
 
-    plan: less the impacts that are skipped; records: of the finished impacts; joins: reports of the joining of their splats; closing:
-    report of the closing stage. pool: for impacts side by side, None where all are computed in this process.
+    plan: without skipped impacts; pool: executor for simultaneous impacts, None if all are computed in this process; records: of the
+    finished impacts; joins: reports of the joining of their splats; closing: report of the closing stage.
     """
 
     def __init__(self, plan: Plan, folder: Path, options: RunOptions, store: Store, pool: Executor | None = None):
         self.plan, self.folder, self.options, self.store, self.pool = plan, folder, options, store, pool
-        self._began = clock.perf_counter()  # s, less what the run has taken before it was resumed
+        self._began = clock.perf_counter()  # s, earlier by the wall time before a resumption
         self.records: list[ImpactRecord] = []
         self.joins: list[Values] = []
         self.closing: Values | None = None
-        self._resumed: DepositionState | None = None  # within an impact
-        self._unwritten: BatchReplay | None = None  # files of the last batch
+        self._resumed: DepositionState | None = None  # a checkpoint within an impact
+        self._unwritten: BatchReplay | None = None  # files of the last batch that are not merged yet
         self._about = self._identity()
 
     @property
     def undecided(self) -> bool:
-        """Whether the last impact so far has ended before its end criterion was met."""
+        """Whether the last impact so far ended before its end criterion was met."""
         return bool(self.records) and self.records[-1].values["undecided"] is not None
 
     @property
     def can_go_on(self) -> bool:
-        """Whether the last impact so far can go on: it is undecided, or shows no verdict."""
+        """Whether the last impact so far can continue: it is undecided or without a verdict."""
         return self.undecided or self.records[-1].values["rebounded"] is None
 
     @property
     def _may_skip(self) -> bool:
-        """Whether an impact that fails, or ends undecided, is left out."""
+        """Whether an impact that fails or is undecided is skipped."""
         return self.options.skip_failed and self.options.ranks.size == 1 and len(self.plan.impacts) > 1
 
     # ---- the fold ------------------------------------------------------------------------------------------------
@@ -88,13 +88,13 @@ class Deposition:
         return build_target(self.plan)
 
     def next_batch(self) -> Batch | None:
-        """The impacts that come next; None after the last, and after one that is undecided: what comes next has no target at rest."""
+        """The next batch; None after the last impact, and after an undecided impact, because the target is not at rest."""
         self._batch_began = clock.perf_counter()
         return None if self.undecided else self.plan.batch_from(len(self.records))
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
-        """The impacts of a batch, each on its own cut of the target, up to one that is undecided. None at all where one has failed and
-        is out of the plan; its error, where that is not asked for."""
+        """Compute the impacts of a batch, each on its own sub-domain of the target. Returns them up to the first undecided one. If an
+        impact fails it is removed from the plan and the result is empty; raises its error if the run may not skip impacts."""
         done = self._done(batch, target)
         for k, each in enumerate(done):
             if (error := self._failure(each)) is not None:
@@ -109,7 +109,7 @@ class Deposition:
     def _done(self, batch: Batch, target: Bodies) -> list[Done]:
         """`compute` without the check of its results."""
         found, folder = tasks(self.plan, batch, target, self.folder, self._about), self.folder / TASKS
-        if batch.is_whole:  # it writes into the files of the run
+        if batch.is_whole:  # the impact writes into the files of the run
             self._catch_up(batch, target)
             ((task, cut),) = found
             before, resumed, self._resumed = simulated(self.records), self._resumed, None
@@ -123,7 +123,7 @@ class Deposition:
         return [Done(task, cut, attempt(task, self.options)) for task, cut in found]
 
     def rest(self, batch: Batch, target: Bodies, done: Sequence[Done]) -> Bodies:
-        """The target after a batch and the time until the next, at rest, with all splats that stay. done: of `compute`."""
+        """The target at rest after a batch and the pause that follows, with all splats that stay. done: result of `compute`."""
         if not done:
             return target
         first, computed = len(self.records), clock.perf_counter()
@@ -132,7 +132,7 @@ class Deposition:
         if self.undecided:
             return whole
         number = len(self.records)
-        if not done[-1].of.joined:  # the last, whose particle stays one of points
+        if not done[-1].of.joined:  # the last impact: its particle still consists of points
             left, gone = without_detached(self.plan, whole, number, "impact")
             self.joins += [{"impact": number, "detached": gone}] if gone else []
             return left
@@ -141,7 +141,7 @@ class Deposition:
         places = [each.task.place for each in done]
         whole = rest(self.plan, batch, whole, places, kinetic_0, self.joins[-1])
         pause = self.joins[-1].get("cooling", {}).get("seconds", {})
-        bodies = clock.perf_counter() - computed - sum(pause.values())  # put together, numbered, searched for overlaps
+        bodies = clock.perf_counter() - computed - sum(pause.values())  # assembly, numbering, search for overlaps
         self.joins[-1]["seconds"] = {"impacts": computed - self._batch_began, **pause, "bodies": bodies}
         took = ", ".join(f"{piece} {seconds:.2f} s" for piece, seconds in self.joins[-1]["seconds"].items())
         self.options.progress.record(f"impacts {first + 1} to {number} and the time until the next: {took}")
@@ -152,7 +152,7 @@ class Deposition:
         return whole
 
     def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
-        """Keep the records of a batch. before, after: the bodies; is_written: whether its files are those of the run already."""
+        """Store the records of a batch. before, after: the bodies; is_written: the batch has written into the files of the run."""
         replay, elements = BatchReplay(before, after), len(before.target.mesh.conn)
         for each in done:
             replay.add(each.task, each.cut, each.of, simulated(self.records))
@@ -163,8 +163,8 @@ class Deposition:
         self._unwritten = None if is_written else replay
 
     def cool(self, target: Bodies) -> Bodies:
-        """The closing stage, where the plan has one: the bodies cool to ambient, come to equilibrium and are written. Returns those
-        that are left."""
+        """The closing stage, if the plan has one: the bodies cool to ambient temperature, come to equilibrium and are written. Returns
+        the bodies that stay."""
         if self.plan.ambient is None or self.undecided:
             return target
         if not self.can_go_on:
@@ -177,8 +177,8 @@ class Deposition:
         return target
 
     def finish(self, target: Bodies) -> None:
-        """Write the summary; checkpoints stay where the last impact can go on."""
-        (self.folder / PICTURE).unlink(missing_ok=True)  # of an earlier end
+        """Write the summary. Checkpoints are kept if the last impact can continue."""
+        (self.folder / PICTURE).unlink(missing_ok=True)  # from an earlier end of this run
         origin = provenance(Result(self.folder).scene_text, self.plan.engine)
         self.store.finish({**self._summary(target), "provenance": origin})
         if not self.can_go_on:
@@ -189,17 +189,15 @@ class Deposition:
     # ---- impacts that fail ---------------------------------------------------------------------------------------
 
     def _failure(self, done: Done) -> ColdsprayError | None:
-        """The error for which an impact is left out or the run ends; None for all other impacts."""
+        """The error because of which an impact is skipped or the run ends; None for a successful impact."""
         if isinstance(done.result, ColdsprayError):
             return done.result
         undecided = done.of.record.values["undecided"]
         return SolverError(str(undecided)) if undecided is not None and self._may_skip else None
 
     def _skip(self, task: Task, error: ColdsprayError) -> None:
-        """Take an impact that has failed out of the plan, which is written anew, and out of the files of the run.
-
-        Raises the error if the run may not skip impacts, or if no other impact would be left.
-        """
+        """Remove a failed impact from the plan, from plan.json and from the files of the run. Raises its error if the run may not skip
+        impacts, or if no impact would be left."""
         if not self._may_skip:
             raise error
         text = f"particle {task.i + 1} of the scene's sequence was skipped: {error}"
@@ -213,7 +211,7 @@ class Deposition:
     # ---- checkpoints ---------------------------------------------------------------------------------------------
 
     def restored(self) -> Bodies:
-        """The target before the first batch that the last whole checkpoint has not seen finished; from the start without one."""
+        """The target of the last complete checkpoint, before the next batch; without a checkpoint the target at the start."""
         log = self.options.progress.log
         state = checkpoint.latest(self.folder, DepositionState, self._about, log)
         if state is None:
@@ -231,7 +229,7 @@ class Deposition:
         return target
 
     def _check_records(self, bodies: Bodies) -> None:
-        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
+        """Raise CheckpointError if the records of a checkpoint give no valid summary."""
         try:
             if self.records and (problem := problem_of(self._summary(bodies))) is not None:
                 raise ValueError(problem)
@@ -242,15 +240,15 @@ class Deposition:
             ) from error
 
     def _catch_up(self, batch: Batch, target: Bodies) -> None:
-        """Write the files of the last batch and a checkpoint of the target after it, while workers compute the next one: until then
-        a run that is ended goes on from the results that the tasks of that batch have left in their folders."""
+        """Write the files of the last batch, and a checkpoint of the target after it, while workers compute the next batch. Before
+        that, a resumed run continues from the results in the folders of the tasks."""
         self.write_files()
         if self._resumed is None and (self.records or not batch.is_whole):
             self._save(target, self.store.state())
         clear(self.folder, len(self.records))
 
     def write_files(self) -> None:
-        """Write the files of the last batch, if they are not written yet."""
+        """Write the files of the last batch, unless they are written."""
         unwritten, self._unwritten = self._unwritten, None
         if unwritten is not None:
             unwritten.write(self.store)
@@ -260,7 +258,7 @@ class Deposition:
         checkpoint.write(self.folder, state, self._about)
 
     def _identity(self) -> dict[str, str]:
-        """Data that identify the run of a checkpoint."""
+        """Data that identify the run to which a checkpoint belongs."""
         scene = (Result(self.folder).scene_text + plan_text(self.plan)).encode()
         return {
             "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
@@ -275,7 +273,7 @@ class Deposition:
         return clock.perf_counter() - self._began
 
     def _summary(self, bodies: Bodies) -> Summary:
-        """The summary of the impacts so far, whose splats are `bodies`."""
+        """The summary of the impacts so far. bodies: target with their splats."""
         joined = list(zip(self.plan.impacts, self.records, self.joins, strict=False))
         diameters = [impact.diameter for impact, _, _ in joined]
         standing = splats_at_end(bodies, diameters, [record.values["surface_level_m"] for _, record, _ in joined])

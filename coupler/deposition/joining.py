@@ -1,4 +1,4 @@
-"""Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
+"""After an impact: the particle becomes a splat of elements, joins the target, and all bodies come to rest."""
 
 import time as clock
 from collections.abc import Sequence
@@ -24,17 +24,19 @@ from ..target.positions import displacement_back, means_of, near
 from .detaching import held_at_rest, release_time, without_detached
 from .pause import pause
 
-REST = 2.25  # cuts round an impact in which equilibrium is found after it
-SHELLS = 8  # of the numbering within REST: a curve in each makes a step of the elements a quarter faster or more
-RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
+REST = 2.25  # radius about an impact point in which equilibrium is computed, over the radius of the sub-domain
+SHELLS = 8  # of the numbering within REST: a space-filling curve in each shell makes a step of the elements 25 % faster or more
+RELEASED_BOUND = (
+    0.005  # greatest kinetic energy that joining a splat may release, over the kinetic energy of the impact
+)
 
 
 def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point) -> tuple[Bodies, Values]:
-    """The bodies after an impact on a cut of the target, with its splat, at rest within its window; and a report.
+    """The bodies of a sub-domain after an impact, with its splat, at rest within its window; and a report.
 
-    outcome: of impact i; place: impact point (m), from which the bodies are numbered. A particle that has rebounded does not join.
-    Whether splats are held is known on the whole target only (`rest`). Raises SolverError when the particle cannot be meshed or does
-    not come to rest.
+    outcome: of impact i; place: impact point, m, from which the bodies are numbered. A particle that has rebounded does not join.
+    Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError if the particle cannot be meshed, or
+    joining releases more than RELEASED_BOUND.
     """
     started = clock.perf_counter()
     record, particle = outcome.record.values, outcome.domains.particle
@@ -54,7 +56,7 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
         new, joined = _with_splat(plan, i, outcome, place)
     except SplatError as problem:
         raise SolverError(
-            f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (in a scene: splat.method,"
+            f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (keys of the scene: splat.method,"
             " resolution.element_size, resolution.spacing)"
         ) from problem
     report |= {
@@ -70,8 +72,8 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     kinetic_0 = float(record["kinetic_energy_0_J"])
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
-            f"after impact {i + 1} the bodies are not quite in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of its kinetic"
-            f" energy can still be released, the aim is {RELAXED:.0e}"
+            f"after impact {i + 1} the bodies are not completely in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of its"
+            f" kinetic energy can still be released, the aim is {RELAXED:.0e}"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
     report |= {
@@ -116,11 +118,12 @@ def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:
-    """The bodies after a batch of impacts and all the time until the next: heat has flowed, all is in equilibrium, and splats that are
-    not held have left. places: of the impacts, m; kinetic_0: J, of all; report: of the last one's joining, to which this is added.
+    """The bodies after a batch of impacts and the pause until the next: heat has flowed, bodies are in equilibrium, and splats that are
+    not attached are removed. places: impact points, m; kinetic_0: kinetic energy of all impacts of the batch, J; report: of the last
+    joining, to which entries are added.
 
-    Where that is less than all, equilibrium is found round the places up to REST cuts from them, and after a pause as far as
-    temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage.
+    Equilibrium is computed up to REST from the impact points, and after a pause wherever temperatures have changed. Later impacts
+    or the closing stage relax the small rest.
     """
     radius = min(REST * batch.cut, float(np.linalg.norm(np.ptp(bodies.target.nodes.x, axis=0))))
     numbered = bodies.renumbered(*places, shell=radius / SHELLS)
@@ -137,7 +140,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 
 def cloud_of(domains: Domains) -> Cloud:
-    """The points of an impact with their state and their surface, cavities included (`splat.cloud.Cloud`)."""
+    """The points of an impact with their state and their surface, which includes cavities (`splat.cloud.Cloud`)."""
     particle, surface, law = domains.particle, domains.whole_surface, domains.particle.law[0]
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),

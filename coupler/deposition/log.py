@@ -11,8 +11,8 @@ from ..progress import Progress
 
 @contextmanager
 def logged(progress: Progress, store: Store) -> Iterator[None]:
-    """Context in which the run's log file gets all lines of the progress and the error that ends the run; the compilation of kernels
-    is a stage of the progress."""
+    """Context that writes all lines of the progress, and an error that ends the run, to the log file of the run. The compilation of
+    kernels is shown as a stage of the progress."""
     compiling = _Compiling(progress)
     progress.record = store.log
     event.register("numba:compile", compiling)
@@ -28,7 +28,7 @@ def logged(progress: Progress, store: Store) -> Iterator[None]:
 
 
 class _Compiling(event.TimingListener):
-    """Shows that kernels are compiled, where the cache does not have them, and how long that took."""
+    """Shows the compilation of kernels as a stage, and records its duration."""
 
     def __init__(self, progress: Progress):
         super().__init__()

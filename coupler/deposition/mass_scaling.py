@@ -1,8 +1,8 @@
-"""What keeps the cost of an impact from growing much with the number of those before it: selective mass scaling, a window.
+"""Measures against the growth of cost with the number of impacts: selective mass scaling, and a window.
 
-A few elements of splats that others have crushed would dictate the time step of all impacts to come: they change their shape against
-an added inertia (`fe.inertia`), and the lightest nodes of surfaces are a little heavier, for the springs of contact. And what is far
-from the impact is not computed (`Target.set_window`): it is in equilibrium, and answers as an elastic body.
+A few crushed elements of splats would determine the time step of all later impacts. Inertia is added to their deformation
+(`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact is not computed:
+it is in equilibrium and acts as an elastic body (`Target.set_window`).
 """
 
 import math
@@ -15,11 +15,12 @@ from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.domain import Point
 
-SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs of contact bear
+SPRINGS = 2.5  # time step that the springs of contact must allow, over the sufficient step of a particle (ENOUGH)
 
 
 def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
-    """Prepare bodies at rest, numbered outwards from the place (m) of impact i, for this impact. Returns the entries of the report."""
+    """Prepare bodies at rest for impact i: mass scaling and window. place: impact point, m, from which the bodies are numbered
+    outwards. Returns entries of the report."""
     report: Values = {}
     if i and plan.mass_scaling:
         p = plan.impacts[i]

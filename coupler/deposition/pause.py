@@ -1,9 +1,8 @@
-"""Heat between impacts and after the last: conduction through the pause, cooling to ambient, and the stresses that both make.
+"""Heat conduction in the pauses between impacts, cooling to ambient after the last impact, and the thermal stresses.
 
-Stresses are told apart by what has made them: `Target.thermal_stress` adds up what each pause and the last cooling have changed, from
-equilibrium to equilibrium; what is left of the stress is that of the impacts (peening, joining). The sum of increments of incremental
-deposition models (Tsui & Clyne 1997, Thin Solid Films 306), here with plastic flow: an impact that makes an element yield changes its
-stress by an increment of its own.
+Stresses are separated by cause: the field thermal_stress sums the changes of stress in each pause and in the final cooling, from
+equilibrium to equilibrium. The rest of the stress comes from the impacts (peening, joining). Incremental deposition models sum
+increments in the same way (Tsui & Clyne 1997, Thin Solid Films 306); here elements also yield.
 """
 
 import time as clock
@@ -29,24 +28,24 @@ from ..target.equilibrium import BALANCED, COOLED, Known, settle
 from ..target.placing import NEAR
 from .detaching import held_at_rest
 
-COOLER = 0.25  # K: makes some 2 MPa
-AT_AMBIENT = 1.0  # K: the most that the closing stage leaves an element from ambient
-# In the closing stage at most: what flows in the first warms by some 40 K, in the second by less than AT_AMBIENT
+COOLER = 0.25  # K: a change of temperature that makes about 2 MPa; smaller changes need no new equilibrium
+AT_AMBIENT = 1.0  # K: greatest difference from ambient after the closing stage
+# Most repetitions in the closing stage. Plastic work warms by about 40 K in the first one, by less than AT_AMBIENT in the second.
 COOLINGS = 8
-STEPS_OF_RECOVERY = 40  # in the closing stage: twice as many change the strain that is left by 0.2 %
-_SOFTER = 0.01  # share of the plastic strain that recovers, beyond which equilibrium is found anew
-_AT_ONCE = 1e-18  # s: a step in which nothing moves
-_EXACT = 1e-6  # K: to which heat is taken away
+STEPS_OF_RECOVERY = 40  # in the closing stage; 80 steps change the remaining strain by 0.2 %
+_SOFTER = 0.01  # recovered share of the plastic strain, above which a new equilibrium is computed
+_AT_ONCE = 1e-18  # s: a time step without motion
+_EXACT = 1e-6  # K: accuracy of a given temperature
 
 
 def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
-    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impacts before; radius: m from
-    where the numbering begins, up to which the impact has left them out of it. Returns the report.
+    """Conduct heat for `time` s, and bring the bodies to equilibrium again. Returns the report.
 
-    The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
-    insulated; bodies that lie on each other conduct as in perfect contact. What the impact has left out of balance, such as at the
-    rim of its cut, is not caused by cooling: it is relaxed first. Both equilibria reach as far as temperatures have changed by COOLER,
-    too.
+    kinetic_0: kinetic energy of the impacts before, J; radius: distance from the start of the numbering, m, within which the
+    impacts have left the bodies out of equilibrium. Bottom and sides of the substrate keep its temperature; the jet heats the
+    surface if the scene has a spray; other surfaces are insulated; touching bodies conduct as in perfect contact. A first
+    equilibrium relaxes the imbalance from the impacts, which is not thermal. Both equilibria also include the region where
+    temperatures have changed by COOLER.
     """
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
@@ -56,7 +55,9 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     conducted = clock.perf_counter()
     softer = t.elements.eps_recovered - taken > _SOFTER * t.elements.eps_p
     changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
-    beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # all of a shell of the numbering has the same distance
+    beyond = np.nextafter(
+        changed.max(initial=0.0), np.inf
+    )  # a shell of the numbering has one distance: include all of it
     radius, known = max(radius, float(beyond)), Known()
     report: Values = {"balance_steps": _balance(bodies, kinetic_0, radius, known), **cooling}
     report |= _settled(bodies, kinetic_0, radius, known)
@@ -64,13 +65,13 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
 
 
 def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodies, Values]:
-    """Bring all bodies to the plan's ambient temperature and to equilibrium: their stresses are residual then. Returns those that are
-    still held (`detaching`), and the report.
+    """Bring all bodies to the ambient temperature of the plan and to equilibrium: the stresses are then residual stresses. Returns the
+    bodies that stay (`detaching`), and the report.
 
-    Each body ends with the thermal strain of its thermal_expansion(T) between the temperature
-    that it came with, at which it was without stress, and ambient; where a material has none, with that of Gamma0 rho c_p / K. The
-    fixed faces of the substrate follow its free contraction. What yields on the way to equilibrium warms: the heat is taken away
-    again, until equilibrium leaves all within AT_AMBIENT.
+    Each body gets the thermal strain between its initial temperature, at which it is free of stress, and ambient: from
+    thermal_expansion(T), or from Gamma0 rho c_p / K for a material without it. The fixed faces of the substrate follow its free
+    contraction. Plastic work during the equilibration warms elements; the heat is removed and the equilibration repeated until all
+    temperatures are within AT_AMBIENT.
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
@@ -110,7 +111,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
 
 
 def _balance(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> float:
-    """Relax what the impacts have left out of balance, which cooling has not caused; heat stays pending. Returns the steps."""
+    """Relax the imbalance from the impacts without the pending heat. Returns the number of steps."""
     t = bodies.target
     heat = t.elements.heat.copy()
     t.elements.heat[:] = 0.0
@@ -120,16 +121,16 @@ def _balance(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> f
 
 
 def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> Values:
-    """Relax thermal stresses, and add what the cooling has changed to those."""
+    """Relax after a change of temperature, and add the change of stress to thermal_stress. Returns entries of the report."""
     t = bodies.target
     before = t.stress()
-    settled = settle(bodies, kinetic_0, 0.0, COOLED, radius, known)  # nothing is left to watch
+    settled = settle(bodies, kinetic_0, 0.0, COOLED, radius, known)  # without a check of released energy
     t.elements.thermal_stress[:] += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 
 
 def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
-    """A function that lets all elements recover for a time (s) at their temperatures, none where the plan leaves it out."""
+    """A function of a time (s): recovery of all elements at their temperatures; without effect if the plan excludes recovery."""
     if not plan.effects.recovery:
         return lambda _: None
     t = bodies.target
@@ -154,7 +155,7 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
 
 
 def _take_heat_away(t: Target, ambient: float) -> None:
-    """Set all elements to ambient, K, by taking the heat for it; more than once where c_p(T) bends on the way."""
+    """Set all elements to ambient temperature, K, by removal of heat; repeated, because c_p depends on the temperature."""
     m, rho = len(t.elements.T), t.laws["rho"][t.law_of]
     for _ in range(20):
         if np.abs(t.elements.T - ambient).max() < _EXACT:
@@ -165,15 +166,15 @@ def _take_heat_away(t: Target, ambient: float) -> None:
 
 
 def _contraction(metal: Material, T: float, ambient: float) -> float:
-    """Linear thermal strain from T to ambient, K: of thermal_expansion, or of Gamma0 rho c_p / K where that is not known."""
+    """Linear thermal strain from T to ambient, K: from thermal_expansion, or from Gamma0 rho c_p / K if it is not known."""
     middle = 0.5 * (T + ambient)
     alpha = metal.thermal_expansion_at(middle) or metal.Gamma0 * metal.rho * metal.cp_at(middle) / (3.0 * metal.K)
     return alpha * (ambient - T)
 
 
 def _contract(t: Target, strain: float) -> None:
-    """Contract all bodies and what holds them by a linear strain as the substrate does: at once, with the energies at which the strain
-    changes no pressure, so that no metal flows on the way."""
+    """Contract all bodies and the fixed faces by the linear strain of the substrate in one step. Energies change such that
+    pressures stay constant, so that no element yields."""
     t.nodes.x[:] *= 1.0 + strain
     t.rest_scale *= 1.0 + strain
     energy = (
@@ -191,20 +192,20 @@ def _contract(t: Target, strain: float) -> None:
 
 
 def _energy_of(law: np.ndarray, strain: float) -> float:
-    """Energy (J/m3) at which a metal that is strained in all directions has the pressure that it had before; 0 without Gamma0."""
+    """Energy (J/m3) that keeps the pressure of a metal constant under a linear strain in all directions; 0 without Gamma0."""
     pressure = pressures(law, np.array([(1.0 + strain) ** 3]), np.zeros(1))[0]
     return float(-pressure / law["Gamma0"][0]) if law["Gamma0"][0] else 0.0
 
 
 def _missing_energy(metal: Material, T: float, ambient: float, law: np.ndarray, shared: float) -> float:
-    """Energy (J/m3) that the equation of state needs beside the heat from T to ambient, K, to contract by `_contraction`, of which the
-    strain `shared` has its energy."""
+    """Energy (J/m3) beyond the heat from T to ambient (K) with which the equation of state gives the strain of `_contraction`, without
+    the energy for the strain `shared`, which all bodies have."""
     heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T) if metal.Gamma0 else 0.0
     return _energy_of(law, _contraction(metal, T, ambient)) - _energy_of(law, shared) - heat
 
 
 def _links(bodies: Bodies, size: float) -> list[Links]:
-    """Where splats lie on each other or on the substrate. size: of their elements, m."""
+    """Thermal contacts of splats with each other and with the substrate. size: of the elements of splats, m."""
     surfaces, x = bodies.surfaces, bodies.target.nodes.x
     reach = NEAR * size
     near = earlier_neighbours(surfaces, x, reach)
@@ -213,7 +214,8 @@ def _links(bodies: Bodies, size: float) -> list[Links]:
 
 
 def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:
-    """The jet on all that a particle can reach from above. heat: coefficient W/(m2 K), temperature K; None: no jet."""
+    """Heat transfer from the jet to all surfaces that are reachable from above. heat: coefficient W/(m2 K), temperature K; None: no
+    jet."""
     if heat is None:
         return None
     t = bodies.target

@@ -1,4 +1,4 @@
-"""Files of impacts side by side, written into those of the run in the order of arrival."""
+"""Merge of the files of simultaneous impacts into the files of the run, in the order of the impacts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +15,9 @@ from .task import Task, TaskResult
 
 @dataclass(frozen=True)
 class _Written:
-    """What a task has written, as a part of the whole. folder, store: of its files; nodes, elements: numbers of its cut in the whole;
-    changed: nodes that it can change; more: nodes and elements of its splat; before: simulated time of the impacts before it, s."""
+    """Files of a task, and their place in the full domain. folder, store: of the files; nodes, elements: indices of its sub-domain
+    in the full domain; changed: indices of the nodes that it can move; more: number of nodes and elements of its splat; before:
+    simulated time of the earlier impacts, s."""
 
     folder: Path
     store: StoreState
@@ -28,8 +29,8 @@ class _Written:
 
 
 class BatchReplay:
-    """Files of a batch on the full domain: its impacts are written one after another, each with the bodies after the impact before.
-    They may be written later: the data do not change when the bodies change."""
+    """Files of a batch on the full domain. Its impacts are written one after another, each on the bodies after the earlier impacts. The
+    data are copies: they can be written after the bodies have changed."""
 
     def __init__(self, before: Bodies, after: Bodies):
         """before, after: the bodies before and after the batch."""
@@ -40,14 +41,14 @@ class BatchReplay:
         self._impacts: list[_Written] = []
 
     def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> None:
-        """The next impact. before: simulated time (s) of the impacts before it."""
+        """Add the next impact. before: simulated time of the earlier impacts, s."""
         met, left = task.bodies.target, result.bodies.target
         more = len(left.nodes.x) - len(met.nodes.x), len(left.elements.T) - len(met.elements.T)
         numbers = met.nodes.node_number, met.elements.element_number
         self._impacts.append(_Written(task.folder, result.store, *numbers, cut.nodes, more, before))
 
     def write(self, store: Store) -> None:
-        """Append what the tasks have written to the files of the run, their targets as parts of the whole."""
+        """Append the files of the tasks to the files of the run; their targets become parts of the full domain."""
         for each in self._impacts:
             self._append(store, each)
             self._go_on(each)
@@ -73,11 +74,11 @@ class BatchReplay:
                 store.write(domain, part.before + fields.time, points, cells, at_points, inside)
 
     def _go_on(self, part: _Written) -> None:
-        """Go on to the next impact: a task has changed its cut, and its splat is the next one of the bodies after the batch."""
+        """Update the full domain to the state after an impact: its sub-domain has changed, and its splat is added."""
         n, m = len(self._points), len(self._cells)
         changed = np.zeros(n, bool)
         changed[part.changed] = True
-        near = changed[self._cells].any(axis=1)  # pressures are of nodes
+        near = changed[self._cells].any(axis=1)  # nodal pressures also change elements beside the sub-domain
         self._points[part.changed] = self._x_after[part.changed]
         self._points = np.concatenate([self._points, self._x_after[n : n + part.more[0]]])
         self._cells = self._cells_after[: m + part.more[1]]

@@ -32,8 +32,8 @@ from .fold import Deposition
 from .log import logged
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
-FEW_POINTS = 2000  # up to which a second thread saves little of a run (docs/evidence/speed.md)
-POINTS_OF_THREAD = 250  # that make it worth while to wake a thread in every step, which takes some 10 us
+FEW_POINTS = 2000  # for fewer points a second thread saves little time (docs/evidence/speed.md)
+POINTS_OF_THREAD = 250  # least points for each thread: to wake a thread in every step takes about 10 us
 
 Probe = Callable[[Impact], None]
 
@@ -53,19 +53,19 @@ def run(
     jobs: int = 1,
     error: bool | None = None,
 ) -> Result:
-    """Compute a scene (a Scene or the path of one) and return its Result.
+    """Compute a scene (a Scene or its path). Returns its Result.
 
-    out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how far it is; a bar
-    or lines on standard error by default, nothing with quiet. threads: they share the loops of a step (default: as many as there are
-    cores, and points for them); the numbers are the same. numerics: for studies of the scheme, values in
-    place of the defaults of `coupler.particle.particle.Numerics`. probe(impact): called after every few steps with the
-    `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
-    skip_failed: of several impacts, leave out those that fail, in one process. jobs: impacts of a batch at a time (`plan.batches`),
-    each in a process of its own; the numbers are the same. error: measure the error of each measure by coarser runs beside this one
-    (None: as the scene says, not by default).
+    out: folder for the files; default: runs/<scene name>. force: replace a finished run there. progress: receives the progress;
+    default: a bar or lines on standard error, nothing with quiet. threads: number of threads that share the loops of a step;
+    default: from the numbers of cores and points; it does not change the numbers. numerics: values that replace defaults of
+    `coupler.particle.particle.Numerics`, for studies of the scheme. probe(impact): called after each chunk of steps with the
+    `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: wall time between checkpoints, s. skip_failed:
+    leave out an impact that fails, if there are several, in one process. jobs: impacts of a batch (`plan.batches`) at the same
+    time, each in its own process; it does not change the numbers. error: compute coarser runs, which give the error of each
+    measure; None: as the scene says, by default not.
 
-    Started by mpiexec, all ranks call it: the last has the target, the others share the particle. Raises SceneError, StoreError or
-    SolverError, on all ranks; whatever was written before an error or an interrupt stays readable.
+    With mpiexec all ranks call this function: the last rank has the target, the others share the particle. Raises SceneError,
+    StoreError or SolverError, on all ranks; files that were written before an error or an interrupt stay readable.
     """
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
@@ -87,7 +87,7 @@ def run(
 
 
 def _alone(scene: Scene, folder: Path, contact_stiffness: float, numerics: Mapping[str, float], threads: int) -> None:
-    """Compute a scene in this process alone; nothing but its summary is written."""
+    """Compute a scene in this process; only its summary is written."""
     decided, quiet = plan(scene, contact_stiffness), Progress(quiet=True)
     options = RunOptions(quiet, folder / "log.lammps", threads=threads, numerics=numerics, checkpoint_every=math.inf)
     create = partial(WithoutFields.create, folder, scene.to_toml(), force=True, plan_json=plan_text(decided))
@@ -108,13 +108,12 @@ def resume(
     jobs: int = 1,
     error: bool = True,
 ) -> Result:
-    """Continue the unfinished run in a folder from its last complete checkpoint, or from its start if there is none.
+    """Continue the unfinished run in a folder from its last complete checkpoint, or from its start without a checkpoint.
 
-    The number of ranks may differ from before. A finished run is returned as it is; an undecided one continues: its
-    last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
-    is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. error: measure it where the run
-    was to. Arguments and errors as for `run`; raises CheckpointError for a checkpoint of another version or another scene, or where
-    `until` has passed.
+    The number of ranks may change. A finished run is returned unchanged. An undecided run continues its last impact until `until` (s,
+    time of this impact), by default for the same time again. A run that met its end criterion without a verdict (`Result.at_own_end`)
+    continues only with `until`. error: measure the error if the run was started with it. Other arguments and errors as for `run`; also
+    raises CheckpointError for a checkpoint of another version or scene, or if the impact is already computed up to `until`.
     """
     folder = Path(out)
     result = Result(folder)
@@ -131,7 +130,9 @@ def resume(
         )
     if until is not None and not (result.finished and checkpoint.stored(folder)):
         why = (
-            "has no checkpoint to go on from" if result.finished else "is not finished: resume it without --until first"
+            "has no checkpoint: --until cannot continue it"
+            if result.finished
+            else "is not finished: resume it without --until first"
         )
         raise CheckpointError(f"{folder} {why}")
     companions = Companions(decided, folder, knobs, _alone) if error else None
@@ -139,8 +140,8 @@ def resume(
 
 
 def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], Store] | None = None) -> Result:
-    """Compute all impacts of a plan and write the summary. create: makes the folder's files; None: go on with those that are there, and
-    with the impacts that their checkpoint has not seen finished. All ranks call it."""
+    """Compute all impacts of a plan and write the summary. create: makes the files of the folder; None: continue from the files and the
+    checkpoint there. All ranks call this function."""
     ranks = options.ranks
     if not ranks.is_root:
         with threads_of(options.threads):
@@ -166,13 +167,13 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
                 splats = deposition.compute(batch, target)
                 target = deposition.rest(batch, target, splats)
         finally:
-            deposition.write_files()  # what was computed is there to be looked at
+            deposition.write_files()  # also after an error: the results so far are readable
         deposition.finish(deposition.cool(target))
     return Result(folder)
 
 
 def _complete(result: Result, companions: Companions | None, options: RunOptions) -> Result:
-    """Do what a run does after its summary: clear the checkpoints, draw the section, measure the error."""
+    """The last stage of a run, after its summary: clear the checkpoints, draw the cross-section, measure the error."""
     if not is_first_rank():
         return result
     if result.has_verdict and not result.undecided:
@@ -190,7 +191,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
 def _options(
     plan: Plan, folder: Path, progress: Progress | None, quiet: bool, threads: int | None, jobs: int, **asked: Any
 ) -> RunOptions:
-    """What the caller of `run` or `resume` has asked for, on the ranks there are."""
+    """Options of a run from the arguments of `run` or `resume` and the number of ranks."""
     ranks = parallel.arrange()
     if threads is None:
         points = max(impact.points for impact in plan.impacts)

@@ -16,9 +16,9 @@ from ..splat.cloud import MIN_POINTS
 from ..target.equilibrium import RELAX_STEPS
 from .pause import AT_AMBIENT
 
-FRAGMENTS = 0.01  # of a particle's mass: more of it in fragments that no mesh holds is said
+FRAGMENTS = 0.01  # share of the mass of a particle: a run warns if more is lost in fragments too small for a mesh
 
-# What an impact loses to the scheme: key of its record, its limit, the warning.
+# Limits of numerical losses: key in the record of an impact, limit, warning
 LIMITS = (
     ("numerical_dissipation", DISSIPATION_LIMIT, "viscosity and hourglass control took {share:.0%} of the kinetic energy, more than"
      " {limit:.0%}: they shape the splat beside the metal's own strength, try a finer preset"),
@@ -43,18 +43,18 @@ def summary(
 ) -> Summary:
     """The summary of a run.
 
-    joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
-    (`target.positions.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
+    records: of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None if it has left
+    (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
     """
     detached = _detached([*joins, closing or {}])
     fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
-    expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts say what they reached
+    expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts report the values they reached
     undecided = impacts[-1]["undecided"]
     for i, shape in enumerate(standing):
         refused = dict(impacts[i]["refused"])
         at_end = accepted(shape, refused, "at_end.") if shape is not None else None
-        if undecided is not None and at_end is not None:  # the target that it lies in is not at rest
+        if undecided is not None and at_end is not None:  # the target is not at rest
             at_end, refused["at_end"] = None, undecided
         impacts[i] = {**impacts[i], "at_end": at_end, "refused": refused}
         if lost := detached.get(i + 1, 0.0) + fragments.get(i + 1, 0.0):
@@ -77,7 +77,7 @@ def summary(
             "warnings": [
                 *plan.skipped,
                 *(
-                    f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds have broken, its mass counts as lost"
+                    f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds are broken, its mass counts as lost"
                     for n, kg in detached.items()
                 ),
                 *(
@@ -99,7 +99,8 @@ def summary(
 
 
 def _efficiency(impacts: Sequence[Values]) -> Values:
-    """Mass that stayed over the mass of all; where undecided particles make that open, none, and what it is without and with them."""
+    """Deposition efficiency: mass that stayed over the mass of all particles. With undecided particles: None, and the range without and
+    with their mass."""
     least, most = efficiency_range(impacts)
     if most - least < 1e-12:
         return {"deposition_efficiency": least}
@@ -107,10 +108,11 @@ def _efficiency(impacts: Sequence[Values]) -> Values:
 
 
 def unsettled(report: Values) -> list[str]:
-    """Warnings where equilibrium or ambient was given up, of the report of a joining with its pause, or of the closing stage."""
+    """Warnings of a report (of a joining with its pause, or of the closing stage) that did not reach equilibrium or ambient
+    temperature."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
         return [
-            f"in the closing stage the bodies still differ by {off:.0f} K from ambient: they yield as they cool, which heats them"
+            f"after the closing stage the bodies differ by {off:.0f} K from ambient: plastic work during cooling heats them"
         ]
     pause = report.get("cooling", {})
     steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]
@@ -124,7 +126,7 @@ def unsettled(report: Values) -> list[str]:
 
 
 def _detached(reports: Sequence[Values]) -> dict[int, float]:
-    """Mass (kg) that has come off, by the number of the splat, from the reports of the joining of splats and of the closing stage."""
+    """Number of a splat -> mass (kg) that has come off. reports: of the joining of splats and of the closing stage."""
     mass: dict[int, float] = {}
     for record in (record for report in reports for record in report.get("detached", [])):
         mass[record["splat"]] = mass.get(record["splat"], 0.0) + record["mass_kg"]
@@ -132,7 +134,7 @@ def _detached(reports: Sequence[Values]) -> dict[int, float]:
 
 
 def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:
-    """A warning of each impact with a share above its limit."""
+    """A warning for each impact with a share above the limit."""
     return [
         f"impact {number}: {words.format(share=impact[key], limit=limit)}"
         for number, impact in enumerate(impacts, 1)

@@ -1,4 +1,4 @@
-"""One impact on its cut of the target: a function for any process, which goes on where it has ended."""
+"""One impact on its sub-domain of the target, computed in any process; it continues from its last checkpoint."""
 
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -21,17 +21,17 @@ from ..target.domain import Point
 from .joining import join
 from .mass_scaling import prepare
 
-# files beside the folders of tasks, which those that run look for at each chunk of steps
-STOP = "stop"  # they stop
-SPARE = "spare"  # cores are idle: each has as many threads as this file says from now on
+# files beside the folders of tasks; running tasks check them after each chunk of steps
+STOP = "stop"  # the tasks stop
+SPARE = "spare"  # number of threads for each task, greater when cores are idle
 
 
 @dataclass(frozen=True)
 class Task:
-    """Impact i of a plan on a cut: its bodies, numbered outwards from `place` (m).
+    """Impact i of a plan on a sub-domain. bodies: of the sub-domain, numbered outwards from the impact point `place`, m.
 
-    before: simulated time (s) of the impacts before it in its files; written: how much of these is written then, None where they begin
-    with it. folder: for files of its own; about: what these belong to, as in `files.checkpoint`.
+    before: simulated time of the earlier impacts in its files, s; written: state of these files at the start, None for new files;
+    folder: for its own files; about: data that identify its checkpoints (`files.checkpoint`).
     """
 
     plan: Plan
@@ -46,9 +46,9 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """bodies: with the splat, at rest; as the impact has left them where it is undecided, or the last and its splat is not asked for:
-    `joined` is empty then. record: of the impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in
-    its files."""
+    """Result of a task. bodies: with the splat, at rest. After an undecided impact, or a last one without a closing stage: the
+    bodies at the end of the impact, and `joined` is empty. record: of the impact; prepared, joined: reports of
+    `mass_scaling.prepare` and `join`; store: state of the files."""
 
     bodies: BodiesState
     record: ImpactRecord
@@ -59,7 +59,7 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class TaskState:
-    """Checkpoint of a task: the state of the running impact, if it can continue; the result, once the impact has ended."""
+    """Checkpoint of a task. running: state of the impact, None if it cannot continue; result: None before the end of the impact."""
 
     running: RunningState | None
     store: StoreState
@@ -78,7 +78,7 @@ class TaskFiles:
 
 @contextmanager
 def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
-    """Files of a task in a folder of its own."""
+    """Context with the files of a task in its own folder."""
     kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
     with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
         if kept is not None:
@@ -87,9 +87,7 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result in its files; an impact that has ended undecided continues.
-
-    Raises what `run_impact` and `join` raise."""
+    """Compute a task, or return the result in its files; an undecided impact continues. Raises as `run_impact` and `join`."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
@@ -115,13 +113,13 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
         outcome.domains.particle.close()
     result = TaskResult(after.state(), record, prepared, joined, store.state())
     can_go_on = undecided or record.values["rebounded"] is None
-    if joined or can_go_on:  # nothing follows the last one
+    if joined or can_go_on:  # else the run ends here
         files.save(TaskState(last if can_go_on else None, store.state(), result))
     return result
 
 
 def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> TaskResult | ColdsprayError:
-    """`run_task`, in files of its own without others; the error of an impact that fails."""
+    """The result of `run_task`, or the error of an impact that fails. files: None: in the own folder of the task."""
     try:
         if files is not None:
             return run_task(task, options, files)
@@ -132,9 +130,9 @@ def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> 
 
 
 def run_alone(
-    task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int = 1
+    task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int
 ) -> TaskResult | ColdsprayError:
-    """`attempt` in a process of an executor."""
+    """`attempt` in a process of an executor. numerics, every (s between checkpoints), until, threads: as in `RunOptions`."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
     def check(_: object) -> None:

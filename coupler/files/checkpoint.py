@@ -1,7 +1,7 @@
-"""Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
+"""Checkpoints of a run: the complete state in one file, which is written completely or not at all and checked when it is read.
 
-A file is an uncompressed .npz of arrays with checksums; "header" is a JSON text: format, what the file belongs to, and the state, a
-record (see `core.records`). Records are made again by their class, whose fields say which type and shape each value must have.
+A file is an uncompressed .npz of arrays with checksums. Its array "header" is a JSON text: format, data that identify the run, and the
+state, a record (`core.records`). Records are created by their class, whose fields define type and shape of each value.
 """
 
 import contextlib
@@ -25,8 +25,8 @@ from ..errors import CheckpointError, StoreError, UnreadableError
 FORMAT = 25
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
-_OF_AN_ARRAY = 600  # bytes beside its numbers, at most
-_AFTER_JSON: dict[type[Any], type[Any]] = {int: float, list: tuple}  # what JSON may have made of others
+_OF_AN_ARRAY = 600  # most bytes for the header of an array
+_AFTER_JSON: dict[type[Any], type[Any]] = {int: float, list: tuple}  # type after JSON -> type before
 _RECORD, _ARRAY = "@record", "@array"  # keys in the JSON text: the class of a record, the name of an array
 R = TypeVar("R")
 
@@ -36,8 +36,8 @@ class OtherVersion(CheckpointError):
 
 
 def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
-    """Write the record `state` as the next checkpoint of a run and remove all but the last KEPT. about: data that identify the run, for
-    `latest`. Raises StoreError when it cannot be written (a full disk); earlier checkpoints are then untouched."""
+    """Write the record `state` as the next checkpoint of a run, and remove all but the last KEPT. about: data that identify the
+    run, for `latest`. Returns the path. Raises StoreError if it cannot be written (full disk); earlier checkpoints then stay."""
     numbers = [number for number, _ in stored(directory)]
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
     temporary = path.with_suffix(".part")
@@ -78,9 +78,9 @@ def clear(directory: Path) -> None:
 def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
-    """State, a record of class `kind`, of the last checkpoint that is complete; None if there is no checkpoint. A damaged one is passed
-    over, with a line to log(text). Raises CheckpointError when a checkpoint belongs to another version or another scene (a key of
-    `about` differs), or when all are damaged."""
+    """The state of the last complete checkpoint, a record of class `kind`; None without a checkpoint. A damaged one is skipped, with a
+    line to log(text). Raises CheckpointError if a checkpoint belongs to another version or scene (a key of `about` differs), or if all
+    are damaged."""
     damaged = []
     for _, path in reversed(stored(directory)):
         try:
@@ -90,15 +90,15 @@ def latest(
         except CheckpointError as error:
             damaged.append(str(error))
             if log is not None:
-                log(f"{error}; trying the one before")
+                log(f"{error}; trying the checkpoint before")
     if damaged:
         raise CheckpointError(f"no checkpoint in {directory} can be read: start again with coldspray run --force")
     return None
 
 
 def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
-    """State of a checkpoint file, a record of class `kind`. about: data of the run to which it must belong. Raises CheckpointError if
-    it is not whole or not such a record, OtherVersion if it belongs to another version or scene."""
+    """The state of a checkpoint file, a record of class `kind`. about: data that identify the run. Raises CheckpointError if the
+    file is damaged or has another record, OtherVersion if it belongs to another version or scene."""
     try:
         with open(path, "rb") as stream, NpzFile(stream) as arrays:
             text = arrays["header"].tobytes()
@@ -111,12 +111,12 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
         raise
     except PermissionError as error:
         raise UnreadableError(f"{path} cannot be read: {error.strerror}") from error
-    except Exception as error:  # whatever is wrong inside a file that anybody may have written
+    except Exception as error:  # a damaged file can raise any exception
         raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {str(error)[:200]})") from error
 
 
 def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str]) -> None:
-    """Raise OtherVersion where a header has another format, or another value of a key of `about`."""
+    """Raise OtherVersion if a header has another format, or another value for a key of `about`."""
     its, again = dict(header["about"]), "or start again with coldspray run --force"
     if header["format"] != FORMAT:
         raise OtherVersion(
@@ -126,11 +126,12 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
     for key, wanted in about.items():
         if its.get(key) != wanted:
             other = f"another {key} ({_short(its.get(key))}, now {_short(wanted)})"
-            raise OtherVersion(f"{path} was written with {other}: continue with that one, {again}")
+            raise OtherVersion(f"{path} was written with {other}: continue with that {key}, {again}")
 
 
 def _for_json(arrays: dict[str, np.ndarray], value: object) -> object:
-    """A value that JSON does not have: a record with the name of its class, the key of an array in `arrays`, a number of numpy."""
+    """JSON form of a value that JSON does not have: a record becomes a dict with the name of its class, an array its key in
+    `arrays`, to which it is added, a number of numpy a number."""
     if is_dataclass(value) and not isinstance(value, type):
         return {_RECORD: type(value).__name__, **{f.name: vars(value)[f.name] for f in fields(value)}}
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
@@ -142,21 +143,21 @@ def _for_json(arrays: dict[str, np.ndarray], value: object) -> object:
 
 
 def _from_json(arrays: Mapping[str, np.ndarray], kinds: Mapping[str, type[Any]], part: dict[str, Any]) -> object:
-    """The value that `_for_json` has written. Raises ValueError or TypeError where a record is not as its class says."""
+    """The inverse of `_for_json`. Raises ValueError or TypeError for a record that does not match its class."""
     if _ARRAY in part:
         return arrays[part[_ARRAY]]
     return _record(kinds[part.pop(_RECORD)], part) if _RECORD in part else part
 
 
 def _kinds(hint: Any) -> dict[str, type[Any]]:
-    """The records that a value of a type hint can hold, by the names of their classes."""
+    """Name -> class, for all records that a value of this type hint can contain."""
     own: dict[str, type[Any]] = {hint.__name__: hint} if isinstance(hint, type) and is_dataclass(hint) else {}
     inner = (*get_type_hints(hint).values(), *hint.__subclasses__()) if own else get_args(hint)
     return own | {name: kind for each in inner for name, kind in _kinds(each).items()}
 
 
 def _record(kind: type[Any], values: dict[str, Any]) -> object:
-    """A record of a class from its fields, each of the type and shape that the class says. Raises ValueError or TypeError."""
+    """A record from the values of its fields. Raises ValueError or TypeError if a type or shape does not match the class."""
     hints = get_type_hints(kind)
     for name, value in values.items():
         allowed = _types(hints[name])

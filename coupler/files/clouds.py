@@ -18,19 +18,20 @@ from .tables import read_any_text, read_table
 
 LARGEST_FILE = 2 * 1024**3  # bytes
 TEXT = (".csv", ".tsv", ".xyz", ".txt", ".dat")
-_TEXT_MEMORY = 25  # bytes while reading over bytes of the file: the words of the text as objects
+_TEXT_MEMORY = 25  # memory while a text is read, over the size of the file
 _MESHIO_MEMORY = 8
-_FLAT = ("triangle", "quad", "polygon")  # how cells of surfaces are called
+_FLAT = ("triangle", "quad", "polygon")  # types of surface cells in meshio
 _AXES = {name: axis for k, axis in enumerate("xyz") for name in (axis, f"points:{k}", f"points_{k}")}  # ParaView's too
 SURFACE = (
-    'is a surface, and points all over the volume are needed. For a particle of this shape give it in a scene: shape = "file", file ='
+    'is a surface, and points in the whole volume are needed. For a particle of this shape write in a scene: shape = "file", file ='
     ' "..." (STL, PLY, OBJ)'
 )
 
 
 @dataclass(frozen=True)
 class Points:
-    """x (n,3) and fields, as in the file; units: of "x" and of fields, if the file names them; notes: remarks on uncertain points."""
+    """Points of a file. x (n,3), fields: name -> (n, ...), in the units of the file; units: of "x" and of fields, if the file gives
+    them; notes: remarks about uncertain interpretations."""
 
     x: NDArray
     fields: dict[str, NDArray]
@@ -39,8 +40,8 @@ class Points:
 
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
-    """The points of a file. known: fields that are read from an .npz; columns: names of columns of a text, "-" for one to leave out.
-    Raises InputError, for the surface of a body too, or LimitError before anything is read that the memory cannot hold."""
+    """The points of a file. known: names of fields to read from an .npz; columns: names of the columns of a text, "-" leaves one out.
+    Raises InputError, also for a surface, and LimitError before reading if the memory is too small."""
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
         most = f"{LARGEST_FILE // 1024**3} GiB, the most that is read"
@@ -60,7 +61,7 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
             points = _meshio(path)
     except (ColdsprayError, MemoryError):
         raise
-    except Exception as problem:  # the readers of a damaged file raise whatever comes up
+    except Exception as problem:  # readers raise any exception for a damaged file
         kind = "" if isinstance(problem, ValueError | OSError) else f"{type(problem).__name__}: "
         raise InputError(path, f"cannot be read: {kind}{str(problem)[:300]}") from problem
     x = points.x
@@ -71,7 +72,7 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
 
 
 def _npz(path: Path, known: tuple[str, ...]) -> Points:
-    """Arrays of an .npz with a row for each point. What the archive unpacks to is held against the memory first."""
+    """Arrays of an .npz with a row for each point. The unpacked size is compared with the free memory first."""
     with open_input(path) as stream, NpzFile(stream) as archive:
         of_points = next((name for name in ("points", "x") if name in archive), None)
         if of_points is None:
@@ -86,7 +87,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
 
 
 def _table(path: Path, columns: list[str] | None) -> Points:
-    """Columns x, y, z and others of a text. An .xyz begins with the number of its points and a line of remarks."""
+    """Columns x, y, z and others of a text. An .xyz file begins with the number of its points and a comment line."""
     text = read_any_text(path, LARGEST_FILE)
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
@@ -112,11 +113,11 @@ def _meshio(path: Path) -> Points:
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), np.errstate(all="ignore"):
             mesh = meshio.read(path)
-    except SystemExit:  # meshio leaves by sys.exit where several readers have failed
+    except SystemExit:  # meshio calls sys.exit if several readers fail
         raise ValueError("not in a format meshio reads") from None
     kinds = {block.type for block in mesh.cells if len(block.data)} - {"vertex", "line"}
     if kinds and all(kind.startswith(_FLAT) for kind in kinds):
         raise InputError(path, SURFACE)
-    told = f"the nodes of its cells ({', '.join(sorted(kinds))}) are used as points that fill the body evenly"
+    told = f"the nodes of its cells ({', '.join(sorted(kinds))}) are used as evenly distributed points of the body"
     fields = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     return Points(np.asarray(mesh.points), fields, notes=[told] if kinds else [])

@@ -1,4 +1,4 @@
-"""The fields of a run as files of other formats, for tools that cannot read VTKHDF in time."""
+"""The fields of a run in other formats, for tools that do not read time steps of VTKHDF."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -13,21 +13,21 @@ from .fields import Fields
 from .outputs import MARK, replacing, write_text
 from .result import COLD, DOMAINS, Result
 
-CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> name of meshio
+CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> type in meshio
 WRITTEN = (*DOMAINS, COLD)
 ENDINGS = (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
 NAMES = tuple(f"{domain}{ending}" for domain in WRITTEN for ending in ENDINGS)
-_TOPOLOGY = {1: "Polyvertex", 3: "Triangle", 4: "Tetrahedron"}  # columns of the cells -> name of XDMF
-_ATTRIBUTE = {(): "Scalar", (3,): "Vector", (6,): "Tensor6"}  # shape of a value -> name of XDMF
-_TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy yz zz
+_TOPOLOGY = {1: "Polyvertex", 3: "Triangle", 4: "Tetrahedron"}  # columns of the cells -> type in XDMF
+_ATTRIBUTE = {(): "Scalar", (3,): "Vector", (6,): "Tensor6"}  # shape of a value -> type in XDMF
+_TENSOR6 = [0, 3, 5, 1, 4, 2]  # from xx yy zz xy yz xz to the order of XDMF, xx xy xz yy yz zz
 
 
 def write_fields(
     result: Result, folder: Path, form: str, stage: Callable[[str], None] = lambda text: None
 ) -> list[Path]:
-    """Write the stored steps of each domain as "pvd" or "xdmf", SI units. Returns the files to open. "pvd": a .vtu file for each step,
-    and a .pvd file that names them with their times. "xdmf": an .h5 file of the arrays of all steps, each with its own mesh, and an
-    .xdmf file (XDMF 3) that names them. stage(text): called with the name of each step. Raises StoreError."""
+    """Write the stored steps of each domain, SI units. Returns the files to open. form: "pvd": a .vtu file for each step, and a
+    .pvd file that lists them with their times; "xdmf": an .h5 file with the arrays of all steps, each with its mesh, and an .xdmf
+    file (XDMF 3) that describes them. stage(text): called with the name of each step. Raises StoreError."""
     write = {"pvd": _write_pvd, "xdmf": _write_xdmf}[form]
     opened = []
 
@@ -73,7 +73,7 @@ def _write_xdmf(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
 
 
 def _grid(file: h5py.File, name: str, step: int, fields: Fields) -> str:
-    """One step: its arrays into `file`, called `name`, and the lines that describe them."""
+    """Write the arrays of one step into `file`, whose name is `name`. Returns the XML text that describes them."""
 
     def item(key: str, values: NDArray) -> str:
         path = f"{step:04d}/{key}"

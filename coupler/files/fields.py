@@ -1,7 +1,5 @@
-"""Read the fields of a VTKHDF file: one domain at one time. Trusts no file.
-
-A file cannot make the reader open another file or fill the memory.
-"""
+"""Read the fields of a VTKHDF file: one domain at one time. A damaged or hostile file cannot make the reader open another file or fill
+the memory."""
 
 import math
 from collections.abc import Iterator
@@ -18,16 +16,15 @@ from ..errors import ColdsprayError, StoreError, UnreadableError
 from .inputs import check_regular, require_memory
 
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
-DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
-FARTHEST = 1e3  # m from the origin: no run has a point beyond it
+DEFLATE_LIMIT = 1100  # greatest compression ratio of gzip: a file that states more data is damaged
+FARTHEST = 1e3  # m from the origin: farther points count as damage
 H = TypeVar("H", h5py.Group, h5py.Dataset)
 
 
 @dataclass(frozen=True)
 class Fields:
-    """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points. data: name -> (n, ...) for values
-    at points, (m, ...) for values in cells, float32 (int32: whole numbers); SI units; stress (.., 6) in the order xx yy zz xy yz xz. A
-    name that is given both at points and in cells holds the values at points."""
+    """One domain at one time. time: s; points: (n, 3) m; cells: (m, 1 | 3 | 4) indices into points; data: name -> values at points
+    (n, ...) or in cells (m, ...), float32 or int32, SI units; stress (.., 6) in the order xx yy zz xy yz xz."""
 
     time: float
     points: NDArray[np.float64]
@@ -35,7 +32,7 @@ class Fields:
     data: dict[str, NDArray]
 
     def split(self) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-        """Data at points and data in cells. A particle's cells are its points: all of its data is at points."""
+        """Data at points, and data in cells. The cells of a particle are its points: all its data are at points."""
         inside = {} if self.cells.shape[1] == 1 else {n: v for n, v in self.data.items() if len(v) != len(self.points)}
         return {name: values for name, values in self.data.items() if name not in inside}, inside
 
@@ -51,30 +48,20 @@ def opened(path: Path) -> Iterator["Root"]:
         raise
     except PermissionError as error:
         raise UnreadableError(f"{path} cannot be read: no permission") from error
-    except Exception as error:  # h5py raises whatever comes up on a damaged file
+    except Exception as error:  # h5py raises any exception for a damaged file
         raise StoreError(f"{path} is damaged or not a coldspray file: {error}") from error
 
 
 @dataclass(frozen=True)
 class Root:
-    """The VTKHDF group of a file. The size that a data set states is compared with its stored bytes and with the free memory."""
+    """The VTKHDF group of a file. Before data are read, their size is compared with the size in the file and with the free memory."""
 
     group: h5py.Group
     path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """Rows start..start+count of a plain numeric data set (all without count)."""
-        data = self.plain(name, start, count, kinds)
-        count = len(data) - start if count is None else count
-        row = math.prod(data.shape[1:]) * data.dtype.itemsize
-        chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
-        if max(count * row, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
-            raise ValueError(f"{name} states more data than the file contains")
-        require_memory(3 * count * row + chunk, f"to read {name} of {self.path}")
-        return data[start : start + count]
-
-    def plain(self, name: str, start: int, count: int | None, kinds: str = "iuf") -> h5py.Dataset:
-        """A plain numeric data set that has rows start..start+count. Raises ValueError for any other."""
+        """Rows start to start + count of a numeric data set, by default all. kinds: allowed kinds of dtype. Raises ValueError for a
+        wrong data set."""
         *folders, last = name.split("/")
         group = self.group
         for folder in folders:
@@ -84,10 +71,15 @@ class Root:
             raise ValueError(f"{name} points to another file")
         if data.dtype.kind not in kinds or data.ndim not in (1, 2):
             raise ValueError(f"{name} has an unexpected type or shape")
-        end = len(data) if count is None else start + count
-        if not 0 <= start <= end <= len(data):
-            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {end} are needed")
-        return data
+        count = len(data) - start if count is None else count
+        if not 0 <= start <= start + count <= len(data):
+            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {start + count} are needed")
+        row = math.prod(data.shape[1:]) * data.dtype.itemsize
+        chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
+        if max(count * row, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
+            raise ValueError(f"{name} states more data than the file contains")
+        require_memory(3 * count * row + chunk, f"to read {name} of {self.path}")
+        return data[start : start + count]
 
     def number(self, name: str, row: int) -> int:
         return int(self.rows(name, row, 1, kinds="iu").ravel()[0])
@@ -97,7 +89,7 @@ class Root:
 
 
 def child(group: h5py.Group, name: str, kind: type[H]) -> H:
-    # A link may lead into another file of the reader's machine; ours never do.
+    # a link may lead to another file; files of this program have none
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name} is missing or a link to another file")
     item = group[name]
@@ -111,7 +103,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
     if attributes.get_id("NSteps").shape not in ((), (1,)):
         raise ValueError("NSteps is not a number")
     count = int(np.ravel(attributes["NSteps"])[0])
-    if count == 0:  # a run that died before its first step
+    if count == 0:  # a run that ended before its first step
         return np.zeros(0)
     # One that died at the wrong moment has counted a step and not yet given it a time.
     times = root.rows("Steps/Values")[: max(count, 0)].astype(np.float64)
@@ -121,6 +113,15 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
+    """One step of a file. times: of its steps. A name at points and in cells gives the values at points."""
+    points, cells, point_data, cell_data = read_arrays(root, step)
+    return Fields(float(times[step]), points, cells, cell_data | point_data)
+
+
+def read_arrays(
+    root: Root, step: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64], dict[str, NDArray], dict[str, NDArray]]:
+    """Points, cells, data at points and data in cells of one step, as in `Fields`. Raises ValueError for a damaged file."""
     part = root.number("Steps/PartOffsets", step)
     point_count, cell_count = root.number("NumberOfPoints", part), root.number("NumberOfCells", part)
     id_count = root.number("NumberOfConnectivityIds", part)
@@ -138,10 +139,12 @@ def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
     cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
     if cells.size and (cells.min() < 0 or cells.max() >= point_count):
         raise ValueError("cells refer to points that do not exist")
-    data: dict[str, NDArray] = {}
-    for group, count in (("CellData", cell_count), ("PointData", point_count)):
+
+    def data(group: str, count: int) -> dict[str, NDArray]:
+        found = {}
         for name in root.names(group):
-            offset = root.number(f"Steps/{group}Offsets/{name}", step)
-            values = root.rows(f"{group}/{name}", offset, count)
-            data[name] = values.astype(np.float32 if values.dtype.kind == "f" else np.int32)
-    return Fields(float(times[step]), points, cells, data)
+            values = root.rows(f"{group}/{name}", root.number(f"Steps/{group}Offsets/{name}", step), count)
+            found[name] = values.astype(np.float32 if values.dtype.kind == "f" else np.int32)
+        return found
+
+    return points, cells, data("PointData", point_count), data("CellData", cell_count)

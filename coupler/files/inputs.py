@@ -1,7 +1,5 @@
-"""Reading of input files: regular files only, limits before parsing, numbers that a float can hold.
-
-Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and compared with the free memory.
-"""
+"""Reading of input files, and limits of memory. Only regular files are read; their size is compared with limits and with the free
+memory before they are read and parsed."""
 
 import json
 import math
@@ -30,13 +28,13 @@ INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
 _STATUS = "/proc/self/status"
-_LEAST_FILE = 16 * 1024**2  # bytes: MPI keeps its messages in files in memory
-# tomllib keeps a copy of every prefix of a dotted key: the memory grows with the square of its length
+_LEAST_FILE = 16 * 1024**2  # bytes: MPI stores messages in files in memory
+# tomllib stores every prefix of a dotted key: the memory grows with the square of its length
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
 
 
 class InputError(StoreError):
-    """A file that cannot be read. reason: why, without the name of the file."""
+    """A file that cannot be read. reason: text without the name of the file."""
 
     def __init__(self, path: str | Path, reason: str):
         self.path, self.reason = path, reason
@@ -51,7 +49,7 @@ class LimitError(StoreError):
 
 
 def check_regular(path: str | Path) -> int:
-    """Size in bytes of a regular file. Raises InputError: it is missing, a folder, a pipe, a device or a circle of links."""
+    """Size of a regular file, bytes. Raises InputError if it is missing, a folder, a pipe, a device or a circle of links."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -66,7 +64,7 @@ def check_regular(path: str | Path) -> int:
 
 
 def similar(path: str | Path, is_folder: bool = False) -> str:
-    """A hint such as ' (did you mean "first.toml"?)' for a file, or a folder, that does not exist, else an empty text."""
+    """A hint such as ' (did you mean "first.toml"?)' for a path that does not exist; "" without a similar name."""
     try:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
@@ -75,7 +73,7 @@ def similar(path: str | Path, is_folder: bool = False) -> str:
 
 
 def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
-    """Open a regular file for reading. limit: bytes at most. Raises InputError."""
+    """Open a regular file for reading. limit: greatest size, bytes. Raises InputError."""
     size = check_regular(path)
     if limit is not None and size > limit:
         raise _too_large(path, limit)
@@ -90,11 +88,11 @@ def _too_large(path: str | Path, limit: int) -> InputError:
 
 
 def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
-    """The text of a file in UTF-8, a byte-order mark left out. limit: bytes at most. Raises InputError."""
+    """The text of a file in UTF-8, without a byte-order mark. limit: greatest size, bytes. Raises InputError."""
     require_memory(2 * min(check_regular(path), limit), f"to read {path}")
     with open_input(path, limit) as stream:
         try:
-            raw = stream.read(limit + 1)  # files below /proc have no size
+            raw = stream.read(limit + 1)  # files in /proc report no size
         except OSError as error:
             raise InputError(path, f"cannot be read: {error.strerror or error}") from None
     if len(raw) > limit:
@@ -107,14 +105,14 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Tables of a TOML text. Raises ValueError: not TOML, nested too deeply, or an integer beyond 64 bits."""
+    """The tables of a TOML text. Raises ValueError if it is not TOML, nested too deeply, or has an integer of more than 64 bits."""
     if _DEEP_KEY.search(text):
         raise ValueError(_TOO_DEEP)
     return _parsed(tomllib.loads, text.removeprefix("\ufeff"))
 
 
 def _parsed(load: Callable[[str], T], text: str) -> T:
-    """The data of a text, with its nesting and integers checked. Raises ValueError."""
+    """The data of a text, checked by `check_nesting`. load: parser. Raises ValueError."""
     try:
         data = load(text)
     except RecursionError:
@@ -124,7 +122,7 @@ def _parsed(load: Callable[[str], T], text: str) -> T:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Tables of a TOML file of at most SCENE_LIMIT bytes. Raises InputError."""
+    """The tables of a TOML file of at most SCENE_LIMIT bytes. Raises InputError."""
     try:
         text = read_text(path, SCENE_LIMIT)
         return parse_toml(text)
@@ -133,7 +131,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """The line that an error of TOML names, and the most frequent cause."""
+    """Text for an error of TOML (`problem`): the line that it refers to, and a hint for missing quotes; "" if it gives no line."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""
@@ -144,7 +142,7 @@ def line_of(text: str, problem: str) -> str:
 
 
 def parse_json(text: str) -> object:
-    """A JSON text whose numbers a float can hold. Raises ValueError: damaged, nested too deeply, nan, 1e999, 400 digits."""
+    """The data of a JSON text. Raises ValueError if it is damaged or nested too deeply, or for a number that is not finite."""
     return _parsed(partial(json.loads, parse_constant=_no_constant, parse_float=_finite), text)
 
 
@@ -160,7 +158,7 @@ def read_json_object(path: str | Path) -> dict[str, object]:
 
 
 def check_nesting(data: object) -> None:
-    """Refuse dicts and lists nested more than DEPTH_LIMIT deep, and integers beyond 64 bits. Raises ValueError."""
+    """Raise ValueError for dicts and lists nested more than DEPTH_LIMIT deep, and integers of more than 64 bits."""
     level = [data]
     for _ in range(DEPTH_LIMIT + 1):
         below: list[object] = []
@@ -178,7 +176,7 @@ def check_nesting(data: object) -> None:
 
 
 def leaves(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """The keys of nested dicts, such as "particle[2].velocity", and their values; a list of one table is as that table."""
+    """(key, value) of nested dicts, with keys such as "particle[2].velocity"; a list of one table counts as that table."""
     for name, value in table.items():
         if isinstance(value, Mapping):
             yield from leaves(value, f"{above}{name}.")
@@ -202,7 +200,7 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def reading(folder: str | Path) -> Iterator[None]:
-    """Context in which files that are sound each by itself but do not fit together raise InputError; warnings are not shown."""
+    """Context that reports files of a run that do not match each other as InputError, and suppresses warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -216,12 +214,12 @@ def reading(folder: str | Path) -> Iterator[None]:
 
 
 def free_memory() -> int:
-    """Bytes that this process can still use: the least of what the machine, its cgroup and its own limits leave."""
+    """Memory that this process can still allocate, bytes: the least of the limits of the machine, its cgroup and the process."""
     return min(_field("/proc/meminfo", "MemAvailable") or 2**62, _cgroup(), _own_limits())
 
 
 def require_memory(needed: float, purpose: str) -> None:
-    """Raise LimitError if `needed` bytes are not free. purpose: what for, as "to read cloud.npz"."""
+    """Raise LimitError if `needed` bytes are not free. purpose: for the message, such as "to read cloud.npz"."""
     if needed > 2**20 and needed > (free := free_memory()):
         raise LimitError(
             f"not enough memory {purpose}: about {_bytes(needed)} are needed, {_bytes(free)} are free;"
@@ -231,9 +229,9 @@ def require_memory(needed: float, purpose: str) -> None:
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
-    """Context in which an allocation beyond the free memory fails (MemoryError) instead of having processes killed. Sets the soft
-    RLIMIT_DATA, which counts private writable memory, and puts it back. Raises LimitError where the limits that the process was started
-    with are too tight for the libraries."""
+    """Context in which an allocation beyond the free memory raises MemoryError, so that the system does not kill processes. It sets the
+    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises LimitError if the limits of the process are too small
+    for the libraries."""
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = _field(_STATUS, "VmData") + _field(_STATUS, "VmStk")
@@ -264,7 +262,7 @@ def _check_own_limits() -> None:
 
 
 def _cgroup() -> int:
-    """Bytes left of the tightest memory limit of this process's cgroups (version 2)."""
+    """Memory left in the tightest cgroup (version 2) of this process, bytes."""
     left, root = 2**62, Path("/sys/fs/cgroup")
     try:
         lines = Path("/proc/self/cgroup").read_text().splitlines()
@@ -274,7 +272,7 @@ def _cgroup() -> int:
     for level in (folder, *folder.parents):
         bound, used = _number(level / "memory.max"), _number(level / "memory.current")
         if bound is not None and used is not None:
-            # pages of files are given back when memory is short
+            # the system frees pages of files when memory is short
             cached = _field(level / "memory.stat", "inactive_file", unit=1)
             left = min(left, max(bound - used + cached, 0))
     return left
@@ -290,7 +288,7 @@ def _own_limits() -> int:
 
 
 def _field(path: str | Path, name: str, unit: int = 1024) -> int:
-    """A number of a file of lines "name: number kB" or "name number", bytes; 0 if it is not there."""
+    """A number from a file with lines "name: number kB" or "name number", in bytes; 0 if it is missing."""
     try:
         with open(path) as stream:
             for line in stream:

@@ -1,6 +1,6 @@
-"""Before a command writes: nothing that this program did not write is replaced without --force, an input never.
+"""Protection of files: files that this program did not write are replaced only with --force, input files never.
 
-A file of coldspray carries MARK in its first or last bytes; a folder of coldspray has a file MARKER that names its kind.
+A file of coldspray has MARK in its first or last bytes; a folder of coldspray has a file MARKER with its kind.
 """
 
 import contextlib
@@ -17,15 +17,15 @@ RUN_FILES = (
     "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf", "cold.vtkhdf",
     "section.png", "run.log", "log.lammps",
 )  # fmt: skip
-# how both a command and Python replace a folder's files, or take another one
+# texts for messages: options of commands and of Python
 REPLACE, ELSEWHERE = "--force (Python: force=True)", "another folder with --out (Python: out=...)"
-_ENDS = 8192  # bytes at both ends of a file in which MARK is looked for
+_ENDS = 8192  # bytes at both ends of a file that are searched for MARK
 
 
 def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
-    """Whether a command may write a file; called before its work. Returns the path. suffixes: those that the command writes, in lower
-    case. inputs: files and folders of runs that it reads; none of their files is ever replaced. force: replace a file that this program
-    did not write. Raises StoreError."""
+    """Check that a command may write a file, before its work. Returns the path. suffixes: allowed ones, in lower case; inputs:
+    files and folders of runs that the command reads: they are never replaced; force: replace a file that this program did not
+    write. Raises StoreError."""
     if path.suffix.lower() not in suffixes:
         raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}, use {' or '.join(suffixes)}")
     if not path.parent.exists():
@@ -44,9 +44,9 @@ def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (),
 def claim_folder(
     folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool | None = False
 ) -> None:
-    """Whether a command may write files of these names into a folder; made if it is missing, and marked as of this kind. names: of the
-    files that may be replaced there, "*" for any text in a name. inputs: files that are never replaced. force: replace files of these
-    names in a folder that is not marked so; None where nobody can ask for that. Raises StoreError."""
+    """Check that a command may write files into a folder; create the folder and mark it with its kind. names: patterns of the files
+    that may be replaced in a folder of this kind; inputs: files that are never replaced; force: replace such files in any other
+    folder, None if the command has no such option. Raises StoreError."""
     check_folder(folder)
     present = [path for name in names for path in sorted(folder.glob(name))] if folder.is_dir() else []
     keep_inputs(folder, names, inputs)
@@ -71,14 +71,14 @@ def claim_folder(
 
 
 def keep_inputs(folder: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
-    """Raise StoreError if a file of one of these names in a folder is an input."""
+    """Raise StoreError if a file of a folder that matches one of the names is an input."""
     sources = list(inputs)
     for path in [path for name in names for path in folder.glob(name)]:
         _refuse_inputs(path, sources)
 
 
 def check_folder(folder: Path) -> None:
-    """Raise StoreError unless files can be written into a folder, which may be missing where it can be made."""
+    """Raise StoreError unless files can be written into a folder; a missing folder must be possible to create."""
     try:
         mode = folder.stat().st_mode
     except FileNotFoundError:
@@ -94,7 +94,7 @@ def check_folder(folder: Path) -> None:
 
 
 def kind_of(folder: Path) -> str:
-    """The kind of a folder that coldspray made, from its marker; "" for any other folder."""
+    """The kind of a folder of coldspray, from its marker; "" for other folders."""
     with contextlib.suppress(OSError, ValueError):
         with open(os.open(folder / MARKER, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
             text = stream.read(200).decode("utf-8")
@@ -104,7 +104,7 @@ def kind_of(folder: Path) -> str:
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a file carries MARK near its beginning or its end."""
+    """Whether a file has MARK near its beginning or end."""
     with contextlib.suppress(OSError):
         if stat.S_ISREG(path.stat().st_mode):
             with path.open("rb") as stream:
@@ -116,7 +116,7 @@ def is_ours(path: Path) -> bool:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A new file beside `path`, of the same suffix, that takes its place once it is whole. Raises StoreError."""
+    """Context with the path of a temporary file, which replaces `path` at the end. Raises StoreError."""
     part = path.with_name(f".part-{os.getpid()}-{path.name}")
     try:
         yield part
@@ -129,7 +129,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all. Raises StoreError."""
+    """Write a text file completely or not at all. Raises StoreError."""
     with replacing(path) as part, part.open("w", encoding="utf-8") as stream:
         stream.write(text)
         stream.flush()
@@ -137,7 +137,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
-    """Raise StoreError if a path is an input, by whatever link, or a file of a run that is read."""
+    """Raise StoreError if a path is an input (also through links), or a file of a run that is read."""
     for item in inputs:
         for source in [item / name for name in RUN_FILES] if item.is_dir() else [item]:
             with contextlib.suppress(OSError):

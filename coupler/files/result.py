@@ -1,4 +1,4 @@
-"""Read the results of a run. Imports no solver, and trusts no file: see `files.fields`."""
+"""Read the results of a run, without a solver. Damaged files raise StoreError (`files.fields`)."""
 
 import csv
 from collections.abc import Iterator
@@ -24,20 +24,19 @@ DOMAINS = ("particle", "surface", "target")
 HISTORY = "history.csv"
 COLD = "cold"  # the bodies after the closing stage, one step
 _VTK_TYPES = {columns: kind for kind, columns in CELL_COLUMNS.items()}
-_CSV_MEMORY = 12  # bytes while reading over bytes of the file
+_CSV_MEMORY = 12  # memory while reading over the size of the file
 
 
 class Result:
-    """A run's folder, finished or not.
+    """The folder of a run, finished or not.
 
-    Keys of the summary read like attributes: those of the run, then those of its last impact, then the measures of that impact's
-    end: `result.deposition_efficiency`, `result.rebounded`, `result.flattening_ratio`. A value that is None is refused, for the
-    reason in `result.refused`, or does not apply.
-    Raises StoreError if the folder is not there or holds no run.
+    Keys of the summary are attributes: of the run, of its last impact, and of the measures at the end of this impact:
+    `result.deposition_efficiency`, `result.rebounded`, `result.flattening_ratio`. None: the value is invalid, for the reason in
+    `result.refused`, or does not apply. Raises StoreError if the folder does not exist or has no run.
     """
 
     def __init__(self, directory: str | Path):
-        self.directory = Path(directory).absolute()  # the working folder may become another one
+        self.directory = Path(directory).absolute()  # the working folder may change
         if not self.directory.is_dir():
             of_scene = "; a scene's results are in runs/NAME" if self.directory.is_file() else ""
             raise StoreError(
@@ -47,7 +46,7 @@ class Result:
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
-        self._rows_at: tuple[int, int] | None = None  # time and size of the history that `_rows` knows
+        self._rows_at: tuple[int, int] | None = None  # time and size of the history that `_known_rows` are read from
         self._known_rows: tuple[list[str], NDArray[np.float64]] = [], np.zeros((0, 0))
 
     def __repr__(self) -> str:
@@ -64,29 +63,29 @@ class Result:
 
     @property
     def undecided(self) -> str | None:
-        """Why the run ended before its end criterion was met; None where it was met, or the run is not finished."""
+        """Why the run ended before its end criterion was met; None if it was met, or the run is not finished."""
         reason = self.values.get("undecided")
         return str(reason) if reason is not None else None
 
     @property
     def has_verdict(self) -> bool:
-        """Whether the run shows if the particle of the last impact sticks or rebounds; a run without a verdict can be continued."""
+        """Whether it is known if the particle of the last impact sticks or rebounds. A run without a verdict can continue."""
         return self.values.get("rebounded", False) is not None
 
     @property
     def at_own_end(self) -> bool:
-        """Whether the run has met its end criterion without a verdict on its last particle: only a later time continues it."""
+        """Whether the run met its end criterion without a verdict on its last particle: it continues only to a later time."""
         return self.finished and self.undecided is None and not self.has_verdict
 
     @property
     def at_limit(self) -> bool:
-        """Whether the run is undecided at its time limit: a longer run can decide it."""
+        """Whether the run is undecided because it reached its time limit: a longer run can give a verdict."""
         return "time limit" in (self.undecided or "")
 
     @property
     def summary(self) -> Summary:
-        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. StoreError if it is damaged or of
-        another format."""
+        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. Raises StoreError if the file is damaged
+        or has another format."""
         if not self._summary and self.finished:
             self._summary = read_summary(self.directory / "summary.json")
         return self._summary
@@ -105,7 +104,7 @@ class Result:
 
     @property
     def plan(self) -> Values:
-        """The plan of the run as plan.json holds it; empty if there is none or it is damaged."""
+        """The plan of the run from plan.json; empty if the file is missing or damaged."""
         try:
             plan = read_json_object(self.directory / "plan.json").get("plan")
         except StoreError:
@@ -120,23 +119,23 @@ class Result:
             return known[name]
         if not known:
             why = f"the run in {self.directory} is not finished (no summary.json)"
-            raise AttributeError(f"{name!r} is not known: {why}; history() and fields() give what was written so far")
+            raise AttributeError(f"{name!r} is not known: {why}; history() and fields() give the data so far")
         raise AttributeError(f"the summary in {self.directory} has no {name!r}{nearest(name, known)}")
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._known()]
 
     def _known(self) -> Values:
-        """Values that the result gives as attributes, by name."""
+        """Name -> value of all attributes from the summary."""
         return {**self.summary, **self.summary["impacts"][-1], **self.values} if self.summary else {}
 
     @property
     def scene_text(self) -> str:
-        """The scene with every default filled in, as TOML."""
+        """The scene with all default values, as TOML."""
         return read_text(self.directory / "scene.toml", SCENE_LIMIT)
 
     def times(self, domain: str = "particle") -> NDArray[np.float64]:
-        """Times of the stored steps of a domain, (steps,), s; empty if nothing of it was written yet."""
+        """Times of the stored steps of a domain, (steps,), s; empty if no step is stored."""
         path = self._path(domain)
         if not path.is_file():
             return np.zeros(0)
@@ -144,8 +143,8 @@ class Result:
             return times_of(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
-        """Points, cells and data of "particle", "surface", "target" or "cold" at a stored step; -1 is the last. Raises StoreError if
-        the file is missing or damaged, IndexError if there is no such step."""
+        """Points, cells and data of a domain at a stored step; -1 is the last. domain: "particle", "surface", "target" or "cold".
+        Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
         path = self._path(domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")
@@ -156,8 +155,8 @@ class Result:
             return read_step(root, step % len(times), times)
 
     def mesh(self, step: int = -1, domain: str = "particle") -> "pyvista.UnstructuredGrid":
-        """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"]. Raises as
-        `fields`, and StoreError without pyvista."""
+        """A domain at a stored step as a mesh of pyvista, with its time, s, in field_data["time"]. Raises as `fields`, and
+        StoreError if pyvista is not installed."""
         with _optional("pyvista"):
             import pyvista
 
@@ -170,7 +169,7 @@ class Result:
         return grid
 
     def history_frame(self) -> "pandas.DataFrame":
-        """history.csv as a table of pandas, which has to be installed. Raises as `history`, and StoreError without pandas."""
+        """history.csv as a pandas table. Raises as `history`, and StoreError if pandas is not installed."""
         with _optional("pandas"):
             import pandas
 
@@ -181,13 +180,15 @@ class Result:
     @overload
     def history(self, column: str) -> NDArray[np.float64]: ...
     def history(self, column: str | None = None) -> dict[str, NDArray[np.float64]] | NDArray[np.float64]:
-        """Columns of history.csv: all as a dict of (rows,) arrays, or one of them; SI units. A last line that was cut short is left
-        out. Raises StoreError if the file is missing or damaged, or has lost rows of a finished run, KeyError for an unknown column."""
+        """Columns of history.csv, SI units: all as dict of arrays (rows,), or one array. An incomplete last line is left out. Raises
+        StoreError if the file is missing or damaged, or lacks rows of a finished run, KeyError for an unknown column."""
         names, values = self._rows()
         written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
         if written != len(values):
             path = self.directory / HISTORY
-            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written} rows")
+            raise StoreError(
+                f"{path} is damaged: it has {len(values)} rows, the run wrote {written} rows: compute the run again"
+            )
         table = {name: values[:, number].copy() for number, name in enumerate(names)}
         if column is None:
             return table
@@ -196,15 +197,15 @@ class Result:
         return table[column]
 
     def _rows(self) -> tuple[list[str], NDArray[np.float64]]:
-        """Names and values (rows, columns) of history.csv: read again if the file has changed, as in a running run."""
+        """Names and values (rows, columns) of history.csv; the file is read again if it has changed."""
         path = self.directory / HISTORY
-        stat = path.stat() if path.is_file() else None  # else reading says what is wrong
+        stat = path.stat() if path.is_file() else None  # a missing file: `read_text` raises
         now = (stat.st_mtime_ns, stat.st_size) if stat is not None else None
         if now is not None and now == self._rows_at:
             return self._known_rows
         text = read_text(path)
         require_memory(_CSV_MEMORY * len(text), f"to read {path}")
-        whole = text[: text.rfind("\n") + 1]  # a line without its end is not whole
+        whole = text[: text.rfind("\n") + 1]  # without an incomplete last line
         try:
             rows = list(csv.reader(whole.splitlines()))
             names = rows[0] if rows else []
@@ -231,7 +232,7 @@ def _optional(name: str) -> Iterator[None]:
 
 
 def first_step(result: Result, number: int) -> int:
-    """The stored step of the target with which the impact of this number, from 2 on, begins."""
+    """Index of the stored step of the target at the start of an impact. number: of the impact, 2 or more."""
     impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
     before = times[impacts == number - 1].max()
     return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)

@@ -1,7 +1,5 @@
-"""The folder of one run (docs/guide/files.md): readable at every moment, written by one process only.
-
-summary.json is written last: its presence says that the run is finished.
-"""
+"""The folder of one run (docs/guide/files.md). It is readable at any time, and only one process writes to it. summary.json is written
+last: if it exists, the run is finished."""
 
 import contextlib
 import errno
@@ -34,7 +32,7 @@ SUMMARY, PICTURE = "summary.json", "section.png"
 
 @dataclass(frozen=True)
 class StoreState:
-    """Amount of data written to each file. steps: of each domain's fields; columns and history (rows, columns): of history.csv."""
+    """Amount of written data. steps: domain -> number of stored steps; columns, history (rows, columns): contents of history.csv."""
 
     steps: dict[str, int]
     columns: list[str]
@@ -42,8 +40,8 @@ class StoreState:
 
 
 class Store:
-    """Files of one run. Make it with `Store.create`; a context manager that closes what it opened. Every failure to write becomes a
-    StoreError that names the file; steps written before stay readable."""
+    """The files of one run, from `Store.create` or `Store.reopen`; a context manager that closes them. A failure to write raises
+    StoreError with the name of the file; earlier steps stay readable."""
 
     def __init__(self, directory: Path, lock: int | None = None):
         self.directory = directory
@@ -51,13 +49,13 @@ class Store:
         self._writers: dict[str, VtkHdfWriter] = {}
         self._history: TextIO | None = None
         self._columns: list[str] = []
-        self._rows = array("d")  # all values of the history, row by row: a checkpoint keeps them
+        self._rows = array("d")  # all values of the history, row by row, for checkpoints
 
     @classmethod
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> "Store":
-        """Make the folder, or empty it of an earlier run, and put the scene and the plan in it. Only files with the names of this
-        module are ever removed; a finished run, or files of these names that no run has written, only with `force`. Raises StoreError:
-        such files are there, another run writes there, or the folder is not writable."""
+        """Create the folder, or remove the files of an earlier run from it, and write scene and plan. force: also replace a
+        finished run, or files of the same names that no run has written; other files are never removed. Raises StoreError if such
+        files exist without `force`, another run writes there, or the folder is not writable."""
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
             check_folder(directory)
@@ -70,7 +68,7 @@ class Store:
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
             store = cls(directory, _lock(directory))
             try:
-                # The summary first: a run that replaces a finished one is unfinished from its first moment.
+                # the summary first: without it the new run counts as unfinished
                 fields = (f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))
                 for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *fields):
                     (directory / name).unlink(missing_ok=True)
@@ -85,23 +83,22 @@ class Store:
 
     @classmethod
     def reopen(cls, out_dir: str | Path) -> "Store":
-        """Take the folder of an unfinished run. Raises StoreError: another run writes there, or it is not writable."""
+        """Open the folder of an unfinished run. Raises StoreError if another run writes there, or it is not writable."""
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
             return cls(directory, _lock(directory))
 
     def state(self) -> StoreState:
-        """The history, and how many steps of each domain are written: the argument of `go_on`."""
+        """The amount of data written so far, for `go_on`."""
         steps = {domain: writer.steps for domain, writer in self._writers.items()}
         history = np.array(self._rows).reshape(-1, max(len(self._columns), 1))
         return StoreState(steps, list(self._columns), history)
 
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """Set the files back to the time of a `state`: later records are removed. None: start all files again. Files are made new from
-        the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer be read starts anew, with a
-        line to log(text)."""
+        """Reset the files to an earlier `state`; None: to empty files. New files replace the old ones once they are complete, so
+        that an interruption loses nothing. A damaged file is started again, with a line to log(text)."""
         steps = state.steps if state else {}
-        with _named(self.directory / SUMMARY):  # of an undecided run
+        with _named(self.directory / SUMMARY):  # it exists if the run was undecided
             (self.directory / SUMMARY).unlink(missing_ok=True)
         for domain in (*DOMAINS, COLD):
             path = self.directory / f"{domain}.vtkhdf"
@@ -123,7 +120,7 @@ class Store:
                 path.unlink(missing_ok=True)
 
     def go_back(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """As `go_on`, for a store that has written more since."""
+        """As `go_on`, for a store with open files."""
         with _named(self.directory):
             for writer in self._writers.values():
                 writer.close()
@@ -141,7 +138,7 @@ class Store:
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
-            end = f"the file begins again at the checkpoint, the old one is kept as {kept.name}"
+            end = f"the file starts again at the checkpoint, the old file is kept as {kept.name}"
             log(f"{path} cannot be read ({error}): {end}")
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
@@ -151,8 +148,7 @@ class Store:
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one time step to `DIR/<domain>.vtkhdf`. domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or
-        "cold" (tets (m, 4)). time: s. Shapes and units as in `VtkHdfWriter.write`. Raises StoreError, for example when the disk is
-        full."""
+        "cold" (tetrahedra (m, 4)). Other arguments as for `VtkHdfWriter.write`. Raises StoreError, such as for a full disk."""
         if domain not in (*DOMAINS, COLD):
             raise ValueError(f"unknown domain {domain!r}, have {(*DOMAINS, COLD)}")
         path = self.directory / f"{domain}.vtkhdf"
@@ -162,7 +158,7 @@ class Store:
             self._writers[domain].write(time, points, cells, *data)
 
     def record(self, row: Mapping[str, float]) -> None:
-        """Append one line to history.csv; the first row names the columns, later rows carry the same ones."""
+        """Append one row to history.csv. The keys of the first row are the columns; later rows must have the same keys."""
         path = self.directory / HISTORY
         with _named(path):
             if self._history is None:
@@ -177,21 +173,22 @@ class Store:
             self._rows.extend(values)
 
     def log(self, text: str) -> None:
-        """Append lines to run.log, with date and time. A log that cannot be written ends no run."""
+        """Append text to run.log, with date and time. A failure to write is ignored."""
         stamp = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
         log = self.directory / LOG
         with contextlib.suppress(OSError), open(log, "a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write summary.json whole or not at all, with the number of rows of the history. Numbers that are not finite become null."""
+        """Write summary.json completely or not at all, with the number of rows of the history. Numbers that are not finite become
+        null."""
         rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
         plain = to_json({**summary, **rows}, inf_nan_mode="null", fallback=lambda value: value.tolist())
         with _named(self.directory / SUMMARY):
             write_text(self.directory / SUMMARY, json.dumps(json.loads(plain), indent=2) + "\n")
 
     def close(self) -> None:
-        """Close all files. Never raises: a failed write has raised its own error."""
+        """Close all files. Errors are ignored: a failed write has already raised."""
         with contextlib.suppress(Exception):
             if self._history is not None:
                 self._history.close()
@@ -214,7 +211,7 @@ class Store:
 
 
 class WithoutFields(Store):
-    """The folder of a run whose summary alone is used: fields and history are not written."""
+    """The folder of a run of which only the summary is needed: fields and history are not written."""
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Write nothing."""
@@ -229,14 +226,15 @@ def _line(cells: Iterable[str | float]) -> str:
 
 
 def _lock(directory: Path) -> int | None:
-    """Hold the folder for this process; the system releases it when the process ends, however it ends."""
+    """Lock the folder for this process; the system releases the lock when the process ends. Returns the descriptor, None on a file
+    system without locks."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
         raise StoreError(f"another run is writing to {directory}; choose {ELSEWHERE}") from None
-    except OSError:  # a file system without locks is no reason to refuse a run
+    except OSError:  # a file system without locks: the run continues
         os.close(descriptor)
         return None
     return descriptor
@@ -244,7 +242,7 @@ def _lock(directory: Path) -> int | None:
 
 @contextlib.contextmanager
 def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
-    """Turn a failure to write into a StoreError that names the file or the folder of a run that begins."""
+    """Context that turns a failure to write into a StoreError with the path. is_folder: of a run that begins."""
     try:
         yield
     except (OSError, RuntimeError) as error:
@@ -253,7 +251,7 @@ def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    # HDF5 puts the number into its text only.
+    # HDF5 gives the error number only in its text
     match = re.search(r"errno = (\d+)", str(error))
     number = int(match[1]) if match else error.errno if isinstance(error, OSError) else None
     if number == errno.ENOSPC:

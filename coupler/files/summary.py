@@ -13,9 +13,9 @@ Values = dict[str, Any]
 
 
 class Summary(TypedDict, total=False):
-    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them; closing: what
-    happened after the last, where all has cooled; history_rows: of
-    history.csv; provenance: of the result (`coupler.files.provenance`). SI units."""
+    """Contents of summary.json, SI units. run: values of the whole run; impacts: record of each impact; joins: report of the joining of
+    each splat; closing: report of the closing stage; history_rows: number of rows of history.csv; provenance: see
+    `coupler.files.provenance`."""
 
     format: int
     version: str
@@ -28,7 +28,7 @@ class Summary(TypedDict, total=False):
 
 
 def read_summary(path: Path) -> Summary:
-    """The summary in a file. Raises StoreError if it is damaged or of another format."""
+    """The summary in a file. Raises StoreError if it is damaged or has another format."""
     data: Mapping[str, object] = read_json_object(path)
     form, version = data.get("format", 1), str(data.get("version", "unknown"))[:40]
     if form != FORMAT:
@@ -42,7 +42,7 @@ def read_summary(path: Path) -> Summary:
 
 
 def problem_of(data: Mapping[str, object]) -> str | None:
-    """The fault of a summary that readers cannot use: a table or list that is missing or of another type; None without."""
+    """Why a summary is damaged: a table or list is missing or has another type; None for a valid summary."""
     impacts = data.get("impacts")
     for name, table in (("run", data.get("run")), ("provenance", data.get("provenance", {}))):
         if not isinstance(table, dict):
@@ -59,7 +59,7 @@ def problem_of(data: Mapping[str, object]) -> str | None:
 
 
 def impact_values(summary: Summary, i: int = -1) -> Values:
-    """Impact i in one table: the measures at its end and all other keys of its record, except the measures of other states."""
+    """Impact i in one table: measures at its end, and all keys of its record except measures at other times."""
     impact = summary["impacts"][i]
     return impact["end"] | {key: value for key, value in impact.items() if key not in ("greatest", "end", "at_end")}
 

@@ -1,7 +1,7 @@
-"""Closed surfaces that users bring: STL, OBJ and PLY, in all dialects that programs write.
+"""Closed surfaces from files of users: STL, OBJ and PLY, in the dialects of common programs.
 
-The formats are read here: open3d leaves out polygons of OBJ without a word, trimesh reads relative indices wrongly, meshio refuses
-other properties of faces, and none of them reads a binary STL with bytes behind its end.
+Libraries are not sufficient: open3d ignores polygons of OBJ, trimesh misreads relative indices, meshio refuses other properties of
+faces, and none of them reads a binary STL with bytes after its end.
 """
 
 import re
@@ -15,26 +15,26 @@ from .inputs import InputError, check_regular, open_input, require_memory
 
 LARGEST_SURFACE = 512 * 1024**2  # bytes
 SURFACES = (".stl", ".ply", ".obj")
-LARGEST = 1e30  # of a coordinate
-_MEMORY = 12  # bytes while reading over bytes of the file: the words of a text as objects
+LARGEST = 1e30  # magnitude of a coordinate
+_MEMORY = 12  # memory while reading over the size of the file
 _HEAD = 84  # bytes of a binary STL before its triangles
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _FACET = re.compile(rb"^\s*facet\s+normal\b", re.IGNORECASE | re.MULTILINE)
 _VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE | re.MULTILINE)
-_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}  # formats of PLY: order of bytes
+_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}  # format of PLY -> byte order
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_CUT_OFF = "it is damaged or cut off: write it again"
+_CUT_OFF = "it is damaged or incomplete: write it again"
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
-Column = tuple[str, str, str]  # of an element of PLY: name, type of its values, type of their number or "" for one
+Column = tuple[str, str, str]  # property in PLY: name, type of its values, type of their count or "" for one value
 
 
 def read_surface(path: Path) -> Surface:
-    """Points (n,3) and triangles (m,3) of a surface in a file, in its own unit and order; polygons are cut into triangles. Without
-    triangles where the file has points alone. Raises InputError with what is wrong, LimitError."""
+    """Points (n,3) and triangles (m,3) of a surface in a file, in its unit and order; polygons are divided into triangles; no triangles
+    if the file has points alone. Raises InputError, LimitError."""
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
         raise InputError(path, f"is not a file of a surface: its name must end in {', '.join(SURFACES)}")
@@ -51,8 +51,8 @@ def read_surface(path: Path) -> Surface:
 
 
 def _stl(raw: bytes) -> Surface:
-    """A binary file has 84 bytes and 50 for each triangle, as many as its byte 80 and the next say; all else is text. A binary file can
-    begin with "solid", too. Bytes behind its triangles are no part of the format, and are left out."""
+    """A file with facets in text is a text STL; else it is binary: 84 bytes with the number of triangles in the last four, and 50 bytes
+    for each triangle. Both can begin with "solid". Bytes after the triangles are ignored."""
     lines = raw.replace(b"\r", b"\n")
     if (facets := len(_FACET.findall(lines))) > 0:
         corners = np.array([[float(word) for word in words] for words in _VERTEX.findall(lines)]).reshape(-1, 3)
@@ -70,11 +70,11 @@ def _stl(raw: bytes) -> Surface:
 
 
 def _obj(raw: bytes) -> Surface:
-    """Points ("v") and polygons ("f") of a text. Of the numbers of a corner, such as 3/1/7, the first is its point: from 1, or
-    backwards from -1, the last point above the line."""
+    """Points ("v") and polygons ("f") of a text. The first number of a corner, such as 3/1/7, is the index of its point: from 1, or
+    negative, where -1 is the last point above the line."""
     points: list[list[float]] = []
     polygons: list[list[int]] = []
-    text = re.sub(r"\\\r?\n", " ", raw.decode("utf-8-sig", errors="replace"))  # lines that go on in the next one
+    text = re.sub(r"\\\r?\n", " ", raw.decode("utf-8-sig", errors="replace"))  # continued lines
     for number, line in enumerate(text.splitlines(), 1):
         kind, *words = line.partition("#")[0].split() or [""]
         try:
@@ -91,7 +91,7 @@ def _obj(raw: bytes) -> Surface:
 
 
 def _ply(raw: bytes) -> Surface:
-    """The elements "vertex" and "face" of a text or a binary file (Turk 1994, The PLY Polygon File Format); others are left out."""
+    """The elements "vertex" and "face" of a text or binary file (Turk 1994, The PLY Polygon File Format); others are ignored."""
     head = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\r|\n)", raw)
     if not raw.startswith(b"ply") or head is None:
         raise ValueError("its header is missing or not terminated")
@@ -119,14 +119,14 @@ def _ply(raw: bytes) -> Surface:
 
 
 class _Body:
-    """The values behind the head of a PLY file, one after the other. order: of their bytes; "": text."""
+    """The values after the header of a PLY file, read in sequence. order: byte order, "" for text."""
 
     def __init__(self, raw: bytes, order: str):
         self.order, self.at = order, 0
         self.values: NDArray = np.frombuffer(raw, np.uint8) if order else np.array(raw.split(), object)
 
     def next_values(self, dtype: np.dtype, count: int) -> NDArray:
-        """The next values (count,) of a type. Raises ValueError where the file ends before them."""
+        """The next values (count,) of a type. Raises ValueError if the file has fewer."""
         length = count * (dtype.itemsize if self.order else 1)
         if not 0 <= length <= len(self.values) - self.at:
             raise ValueError(f"it ends before the values that its header states; {_CUT_OFF}")
@@ -135,7 +135,7 @@ class _Body:
         return part.view(dtype) if self.order else part.astype(float)
 
     def table(self, count: int, columns: list[Column]) -> dict[str, Sequence[NDArray] | NDArray]:
-        """The rows of an element by the names of its columns."""
+        """The next `count` rows of an element: name of a column -> values of each row."""
         types = {kind: np.dtype(self.order + _TYPES[kind]) for column in columns for kind in column[1:] if kind}
         if not any(counted for _, _, counted in columns):
             if not self.order:
@@ -152,19 +152,19 @@ class _Body:
 
 
 def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> Surface:
-    """Points x (n,3), and polygons of them cut into triangles (m,3). Raises ValueError."""
+    """Points x (n,3) and triangles (m,3), into which polygons are divided. Raises ValueError for invalid points or polygons."""
     if not (np.abs(x) < LARGEST).all():
         raise ValueError("it has points that are not numbers")
     for polygon in polygons:
         if len(polygon) < 3 or not (min(polygon) >= 0 and max(polygon) < len(x)):
-            outside = f"one that refers to points outside its {len(x)}"
+            outside = f"with an index outside its {len(x)} points"
             raise ValueError(f"it has a face of fewer than three points, or {outside}")
     cut = [triangle for polygon in polygons for triangle in _cut([int(i) for i in polygon], x)]
     return x, np.array(cut, np.int64).reshape(-1, 3)
 
 
 def _cut(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
-    """Triangles of a plane polygon of points x (n,3), concave ones too: ears are cut off one by one (Meisters 1975)."""
+    """Triangles of a plane polygon of points x (n,3), which may be concave: ears are cut off one by one (Meisters 1975)."""
     triangles: list[list[int]] = []
     while len(polygon) > 3:
         ring = x[polygon] - x[polygon[0]]
@@ -177,7 +177,7 @@ def _cut(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
 
 
 def _is_ear(corner: list[int], polygon: list[int], normal: NDArray, x: NDArray) -> bool:
-    """Whether a corner of a polygon, with those before and behind it, is convex and its triangle holds no other corner."""
+    """Whether a corner of a polygon (with the corners before and after it) is convex, and its triangle contains no other corner."""
     ends = x[corner]
     inwards = np.cross(normal, np.roll(ends, -1, axis=0) - ends)
     others = x[[i for i in polygon if i not in corner]]

@@ -1,4 +1,4 @@
-"""Tables of numbers in text, as programs write them: separator, decimal comma, names and units of columns are found from the text."""
+"""Tables of numbers in text files: separator, decimal comma, names and units of columns are detected."""
 
 import csv
 import re
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from .inputs import open_input
 
-# none of these patterns takes more than linear time in a line of any length
+# these patterns take linear time in the length of a line
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _UNIT = re.compile(r"[\[(]([^][()]*)[])]$")
 _COMMENT = ("#", "%", "!", "//")
 _LONGEST = 100_000  # characters of a line
-_COUNTED = 10  # rows from which on a column that counts them is read as their number
+_COUNTED = 10  # least number of rows for which a first column 1, 2, 3 ... counts as row number
 
 
 @dataclass(frozen=True)
 class Table:
-    """columns: (n,) each by name, without columns of words; units: by name, if the names have one; notes: remarks on uncertain points.
-    Without names of columns the first three are x, y and z."""
+    """columns: name -> numbers (n,), without columns of words; units: name -> unit, if the name has one; notes: remarks about uncertain
+    interpretations. Without names of columns, the first three are x, y and z."""
 
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str]
@@ -29,19 +29,18 @@ class Table:
 
 
 def read_any_text(path: Path, limit: int) -> str:
-    """The text of a file, in UTF-8, UTF-16 or Latin-1. limit: bytes at most. Raises InputError."""
+    """The text of a file in UTF-8, UTF-16 or Latin-1. limit: greatest size, bytes. Raises InputError."""
     with open_input(path, limit) as stream:
         raw = stream.read()
     try:
         return raw.decode("utf-16" if raw.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
-    except UnicodeDecodeError:  # names of columns as spreadsheets of Western countries write them; numbers are the same
+    except UnicodeDecodeError:  # names of columns from older spreadsheets; numbers do not depend on it
         return raw.decode("latin-1")
 
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
-    """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default the names above the numbers.
-    axes: a letter for each column that it needs at least, their names where it has none. Raises ValueError with what is wrong, and
-    where."""
+    """The table in a text. names: of the columns in their order, "-" leaves one out; default: the names above the numbers. axes:
+    letters of the required columns, which are their names if the text has none. Raises ValueError with the line of the fault."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -77,8 +76,8 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
 
 
 def _separator(line: str) -> str:
-    """Separator of columns in a line: a tab, a semicolon, a comma, or blanks (""). Commas within words are decimal ones where blanks
-    separate these."""
+    """Separator of the columns in a line: a tab, a semicolon, a comma, or blanks (""). If blanks separate the words, commas are
+    decimal."""
     for separator in "\t;":
         if separator in line:
             return separator
@@ -88,7 +87,7 @@ def _separator(line: str) -> str:
 
 
 def _fields(line: str, separator: str) -> list[str]:
-    """The columns of a line, without quotes and blanks around them; none of one that is too long for a table."""
+    """The cells of a line, without quotes and blanks around them; empty for a line of more than _LONGEST characters."""
     if len(line) > _LONGEST:
         return []
     if separator:
@@ -108,7 +107,7 @@ def _is_number(word: str) -> bool:
 def _values(
     rows: list[list[str]], lines: list[int], separator: str
 ) -> tuple[dict[int, NDArray[np.float64]], list[str]]:
-    """Columns of numbers by their place, and remarks. lines: of each row, from 0."""
+    """Index of a column -> numbers, for columns of numbers; and remarks. lines: index of the line of each row."""
     of_numbers = [k for k, word in enumerate(rows[0]) if _is_number(word)]
     words = [[row[k] for row in rows] for k in of_numbers]
     comma = any("," in word for column in words for word in column)
@@ -128,7 +127,7 @@ def _values(
 
 
 def _titles(line: str, separator: str, count: int) -> list[str] | None:
-    """Names of columns in a line above the numbers; None for any other line. In a comment they must be those of coordinates."""
+    """Names of columns from a line above the numbers; None for another line. A comment must name x, y and z."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
@@ -140,7 +139,7 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
 
 
 def _unnamed(columns: dict[int, NDArray[np.float64]], axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """The axes of columns without names, and which are used where there are more."""
+    """Axis -> numbers for columns without names; and a remark about the used columns if there are more."""
     places = list(columns)
     values = columns[places[0]]
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):

@@ -1,7 +1,7 @@
-"""Write a moving unstructured grid as VTKHDF (version 2.0, UnstructuredGrid with a `Steps` group): one file, all time steps.
+"""Write a moving unstructured grid as VTKHDF (version 2.0, UnstructuredGrid with a `Steps` group): all time steps in one file.
 
-A file must stay readable when the process dies at any moment: a step is first written and flushed whole, and only then counted in
-`NSteps`; readers never look beyond that count. The oldest HDF5 layout is used because it keeps no "file is open" mark.
+A file stays readable if the process is killed at any moment: a step is first written and flushed completely, and then counted in
+`NSteps`; readers use only counted steps. The oldest HDF5 layout is used because it has no mark for an open file.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ import os
 import resource
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,26 +21,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.threads import share
-from .fields import Root, opened, read_step, times_of
+from .fields import opened, read_arrays, times_of
 
 Data = Mapping[str, ArrayLike]
 
 # Columns of the connectivity -> VTK cell type: vertex, triangle, tetrahedron.
 CELL_TYPES = {1: 1, 3: 5, 4: 10}
 
-# Name of a data set -> its unit; columns -> their names. Attributes `units` and `components` of the data sets hold them.
+# Name of a data set -> unit; number of columns -> their names: attributes `units` and `components` of the data sets
 UNITS = {
     "Points": "m", "Values": "s", "velocity": "m/s", "stress": "Pa", "von_mises": "Pa", "eps_p": "1", "eps_p_rate": "1/s", "T": "K",
     "body": "1", "impact": "1", "thermal_stress": "Pa", "from_points": "m",
 }  # fmt: skip
 COMPONENTS = {3: ["x", "y", "z"], 6: ["xx", "yy", "zz", "xy", "yz", "xz"]}
-SPARE = 2**20  # bytes that a step may need beside its data: headers and indices
-CHUNK = 2**16  # rows of a chunk of long data, at most
+SPARE = 2**20  # bytes that a step may need for headers and indices
+CHUNK = 2**16  # most rows of a chunk
 
 
 @dataclass
 class _State:
-    """Number of valid rows of each data set. A step works on a copy: an interrupted step has no effect."""
+    """Number of valid rows of each data set. A step changes a copy: an interrupted step has no effect."""
 
     steps: int = 0
     rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
@@ -53,12 +53,11 @@ class _State:
 
 
 class VtkHdfWriter:
-    """Appends time steps of one grid to one file. path: file to create (replaced if it is there). Raises OSError if it cannot be
-    created."""
+    """Appends time steps of one grid to one file. path: file to create or replace. Raises OSError if it cannot be created."""
 
     def __init__(self, path: Path):
         self.path = path
-        # Without a lock a viewer can open the file while it grows.
+        # without a lock, a viewer can open the file while it grows
         self._file = h5py.File(path, "w", libver="earliest", locking=False)
         self._root = self._file.create_group("VTKHDF", track_order=True)
         self._root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
@@ -70,25 +69,25 @@ class VtkHdfWriter:
         for name in ("PointData", "CellData"):
             self._root.create_group(name)
             steps.create_group(f"{name}Offsets")
-        # Kept open: a data set that is closed writes what it holds, and a failure there is not reported.
+        # Data sets stay open: a failure to write when a data set is closed would not be reported
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
-        #: Chunks of the last step, by data set and first row, with a digest of their values: many do not change from step to step.
+        # (data set, first row) -> digest of the values, packed chunk, of the last step: many chunks do not change between steps
         self._chunks: dict[tuple[str, int], tuple[bytes, bytes]] = {}
 
     def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
-        """Append one step; it counts only once all of it is in the file.
+        """Append one step.
 
-        time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points, stored again only on a change.
-        data, at points and then in cells: name -> (n,) or (n, k), whole numbers stay; (n, 6) are symmetric tensors, xx yy zz xy yz
-        xz as VTK has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
-        OSError if the file cannot be written; it then takes no more steps and keeps those it has.
+        time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points; they are stored again only if they change. data: first
+        at points, then in cells: name -> (n,) or (n, k); integers stay integers; (n, 6) are symmetric tensors xx yy zz xy yz xz, as
+        in VTK. All steps have the same names. Raises ValueError for wrong shapes or names, OSError if the file cannot be written;
+        the file then accepts no more steps and keeps the earlier ones.
         """
         if not self._file:
             raise OSError(errno.EBADF, "closed, or given up after an earlier error")
         try:
             self._append_step(time, np.ascontiguousarray(points, np.float64), cells, *(*data, {}, {})[:2])
-        except (OSError, RuntimeError):  # HDF5 reports some failed writes as the second
+        except (OSError, RuntimeError):  # HDF5 reports some failed writes as RuntimeError
             self._give_up()
             raise
 
@@ -101,12 +100,12 @@ class VtkHdfWriter:
         self._file.close()
 
     def _give_up(self) -> None:
-        """Leave the file as it is. HDF5 brings the process down when it cannot write out what it holds in memory, not even at exit: so
-        its descriptor gets a place in memory where that goes and is forgotten."""
+        """Abandon the file. HDF5 aborts the process if it cannot write its buffers, even at exit: its descriptor is redirected to a
+        file in memory, which discards them."""
         with contextlib.suppress(Exception):
             descriptor, size = self._file.id.get_vfd_handle(), self._file.id.get_filesize()
             sink = os.memfd_create(self.path.name)
-            # The header may already give the length with the new step; a hole at the end takes no room.
+            # the header may already have the length with the new step; a hole at the end needs no space
             os.ftruncate(descriptor, max(size, os.fstat(descriptor).st_size))
             os.dup2(sink, descriptor)
             os.close(sink)
@@ -119,7 +118,7 @@ class VtkHdfWriter:
                   "CellData": _fields(cell_data, len(np.asarray(cells)), "cell")}  # fmt: skip
         size = xyz.nbytes + np.asarray(cells).nbytes
         size += sum(values.nbytes for data in fields.values() for values in data.values())
-        # Better not to begin a step that has no room: one that breaks off may take an index with it.
+        # a step that breaks off for lack of space could damage an index
         if shutil.disk_usage(self.path.parent).free < size + SPARE:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if self._file.id.get_filesize() + size + SPARE > _longest_file():
@@ -133,7 +132,7 @@ class VtkHdfWriter:
 
         def put(name: str, value: float) -> None:
             kind = np.float64 if name == "Values" else np.int64
-            # These two have a column for each kind of topology, of which an unstructured grid has one.
+            # these two have a column for each kind of topology; an unstructured grid has one
             shape = (1, 1) if name in ("CellOffsets", "ConnectivityIdOffsets") else (1,)
             self._append(state, f"Steps/{name}", np.full(shape, value, dtype=kind))
 
@@ -152,43 +151,21 @@ class VtkHdfWriter:
                 start = self._append(state, f"{group}/{name}", data[name], packed[f"{group}/{name}"])
                 if i == 0:
                     put(f"{group}Offsets/{name}", start)
-        if state.steps == 1:
-            self._name_offsets(names)
+        if state.steps == 1:  # all fields begin at the same rows, because their chunks have the same length
+            for group, fields_ in zip(("PointData", "CellData"), names, strict=True):
+                offsets = self._root[f"Steps/{group}Offsets"]
+                for name in fields_[1:]:
+                    offsets[name] = offsets[fields_[0]]
         self._file.flush()
-        # VTK overruns its memory if there are more times than steps, so the times wait for the count.
+        # the count comes before the time: VTK fails if there are more times than steps
         self._count.write(np.array(state.steps))
         put("Values", time)
         self._file.flush()
         self._state = state
 
-    def _take_up(self, path: Path, state: _State) -> None:
-        """Copy what counts of a file, chunk by chunk as they are stored, and go on behind it."""
-        for name, like, first, (skipped, chunk) in _chunks(path, state.rows):
-            if name not in self._data:
-                tail = like.shape[1:]
-                self._data[name] = self._root.create_dataset(
-                    name, (state.rows[name], *tail), like.dtype, maxshape=(None, *tail), chunks=like.chunks,
-                    compression=like.compression, compression_opts=like.compression_opts, shuffle=like.shuffle,
-                )  # fmt: skip
-                self._data[name].attrs.update(like.attrs)
-            self._data[name].id.write_direct_chunk((first,) + (0,) * (like.ndim - 1), chunk, skipped)
-        self._name_offsets(state.names or ([], []))
-        self._file.flush()
-        self._count.write(np.array(state.steps))
-        self._file.flush()
-        self._state = state
-
-    def _name_offsets(self, names: tuple[list[str], list[str]]) -> None:
-        """Give the offsets of the first field at points, and of the first in cells, the names of the others too: all fields begin at
-        the same rows, because their chunks have the same length."""
-        for group, fields in zip(("PointData", "CellData"), names, strict=True):
-            offsets = self._root[f"Steps/{group}Offsets"]
-            for name in fields[1:]:
-                offsets[name] = offsets[fields[0]]
-
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> dict[str, NDArray]:
-        """Begin a new part with the cells, unless they and the number of points are those of the last step; returns the connectivity
-        that is to be stored, by name."""
+        """Begin a new part if the cells or the number of points differ from the last step. Returns the connectivity to store, by
+        name."""
         if points == state.points and state.cells is not None and np.array_equal(cells, state.cells):
             return {}
         table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
@@ -200,14 +177,14 @@ class VtkHdfWriter:
         count, columns = table.shape
         state.cell_offset = self._append(state, "Types", np.full(count, CELL_TYPES[columns], dtype=np.uint8))
         self._append(state, "Offsets", np.arange(count + 1, dtype=np.int64) * columns)
-        # VTK looks for a part's offsets at CellOffsets + number of the part: hence a part for each topology.
+        # VTK expects the offsets of a part at CellOffsets + number of the part: each topology is a part
         state.part = self._append(state, "NumberOfPoints", np.array([points], dtype=np.int64))
         self._append(state, "NumberOfCells", np.array([count], dtype=np.int64))
         self._append(state, "NumberOfConnectivityIds", np.array([table.size], dtype=np.int64))
         return {"Connectivity": table.ravel()}
 
     def _packed(self, arrays: Mapping[str, NDArray]) -> dict[str, list[bytes]]:
-        """The chunks of what a step appends, as HDF5's filters would write them; the threads share them."""
+        """The data of a step as compressed chunks; threads share the work."""
         rows = {name: self._chunk(name, values) for name, values in arrays.items()}
         work = [(name, first) for name, values in arrays.items() for first in range(0, len(values), rows[name])]
 
@@ -225,13 +202,12 @@ class VtkHdfWriter:
         return packed
 
     def _chunk(self, name: str, values: NDArray) -> int:
-        """Rows of a chunk of long data: those of the first step, CHUNK at most."""
+        """Rows of a chunk: the length of the data in the first step, at most CHUNK."""
         return int(self._data[name].chunks[0]) if name in self._data else min(max(len(values), 1), CHUNK)
 
     def _append(self, state: _State, name: str, values: NDArray, packed: list[bytes] | None = None) -> int:
-        """Put rows behind those in use, in a data set that is made at first use; returns where they start. packed: long data as chunks
-        (`_packed`), which begin with a chunk of their own. A compressed chunk that is written once is never moved, so that a crash
-        cannot hurt older steps."""
+        """Append rows to a data set, which is created at first use. Returns the index of the first row. packed: the data as compressed
+        chunks (`_packed`); they start at a new chunk. A written chunk never changes, so that a crash cannot damage older steps."""
         start, tail = state.rows.get(name, 0), values.shape[1:]
         if name not in self._data:
             long = packed is not None or len(values) > 1
@@ -245,7 +221,7 @@ class VtkHdfWriter:
                     self._data[name].attrs["components"] = np.array(names, dtype="S2")
         data = self._data[name]
         zeros = (0,) * len(tail)
-        # by h5py's functions of HDF5 itself: those of data sets take ten times as long for a single number
+        # low-level functions of h5py: assignment to a data set takes ten times as long for a single number
         if packed is not None:
             rows = data.chunks[0]
             start += -start % rows
@@ -262,58 +238,27 @@ class VtkHdfWriter:
 
 
 def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
-    """The writer of a new file that holds the first `steps` steps of the file at a path. Chunks are copied as they are stored: their
-    bytes are not looked at, those of the last step excepted. Raises StoreError for a file that is damaged, UnreadableError without the
-    permission, IndexError for one of fewer steps, OSError as the writer."""
+    """Write the first `steps` steps of the file `path` into the file `new`. Returns its writer. Raises StoreError for a damaged file,
+    UnreadableError without permission, IndexError for a file with fewer steps, OSError as the writer."""
     with opened(path) as old:
-        state = _state_at(old, steps)
-    if shutil.disk_usage(new.parent).free < path.stat().st_size + SPARE:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        times = times_of(old)
+    if len(times) < steps:
+        raise IndexError(f"{path} has {len(times)} steps, {steps} are needed")
     writer = VtkHdfWriter(new)
     try:
-        writer._take_up(path, state)
-    except (OSError, RuntimeError):
-        writer._give_up()
-        raise
+        for step in range(steps):
+            with opened(path) as old:
+                points, cells, point_data, cell_data = read_arrays(old, step)
+            writer.write(float(times[step]), points, cells, point_data, cell_data)
     except BaseException:
         writer.close()
         raise
     return writer
 
 
-def _state_at(old: Root, steps: int) -> _State:
-    """The valid rows of a file after its first steps."""
-    times = times_of(old)
-    if len(times) < steps:
-        raise IndexError(f"{old.path} has {len(times)} steps, {steps} are needed")
-    last, n = read_step(old, steps - 1, times), steps - 1
-    part, points, cells = old.number("Steps/PartOffsets", n), len(last.points), len(last.cells)
-    parts = {name: part + 1 for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")}
-    stored = int(old.rows("NumberOfCells", 0, part + 1, "iu").sum())  # cells of all parts
-    connectivity = old.number("Steps/ConnectivityIdOffsets", n)
-    rows = parts | {"Types": stored, "Offsets": stored + part + 1, "Connectivity": connectivity + last.cells.size}
-    rows |= {"Points": old.number("Steps/PointOffsets", n) + points}
-    rows |= {f"Steps/{name}": steps for name in old.names("Steps") if not name.endswith("DataOffsets")}
-    names = sorted(old.names("PointData")), sorted(old.names("CellData"))
-    for group, count, fields in (("PointData", points, names[0]), ("CellData", cells, names[1])):
-        for name in fields:
-            rows |= {f"{group}/{name}": old.number(f"Steps/{group}Offsets/{name}", n) + count}
-        rows |= {f"Steps/{group}Offsets/{name}": steps for name in fields[:1]}
-    return _State(steps, rows, last.cells, points, part, old.number("Steps/CellOffsets", n), connectivity, names)
-
-
-def _chunks(path: Path, rows: Mapping[str, int]) -> Iterator[tuple[str, h5py.Dataset, int, tuple[int, bytes]]]:
-    """The first rows of the data sets of a file: name, data set, first row of a chunk, the chunk as it is stored."""
-    with opened(path) as old:
-        for name, count in rows.items():
-            data = old.plain(name, 0, count)
-            for first in range(0, count, data.chunks[0]):
-                yield name, data, first, data.id.read_direct_chunk((first,) + (0,) * (data.ndim - 1))
-
-
 def _deflated(values: NDArray, rows: int) -> bytes:
-    """A chunk of `rows` rows, zeros after the values, as HDF5's filters shuffle and deflate would write it, by a search for runs of
-    equal bytes alone: half the time of zlib's fastest level for 3 % longer files."""
+    """A chunk of `rows` rows, padded with zeros, in the format of the HDF5 filters shuffle and deflate. Only runs of equal bytes are
+    compressed: half the time of the fastest level of zlib, for files that are 3 % longer."""
     if len(values) < rows:
         values = np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), values.dtype)])
     columns = np.ascontiguousarray(values).reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
@@ -322,13 +267,13 @@ def _deflated(values: NDArray, rows: int) -> bytes:
 
 
 def _longest_file() -> float:
-    """Bytes that a file of this process may have."""
+    """Greatest size of a file of this process, bytes."""
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
     return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
 def _fields(data: Data, count: int, owner: str) -> dict[str, NDArray]:
-    """The fields as they are stored: whole numbers as int32, all others as float32."""
+    """The fields as they are stored: integers as int32, all others as float32. owner: "point" or "cell", for messages."""
     fields = {}
     for name, values in ((name, np.asarray(values)) for name, values in data.items()):
         if values.ndim not in (1, 2) or len(values) != count:

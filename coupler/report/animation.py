@@ -1,9 +1,11 @@
-"""A film of the cut, MP4 (by ffmpeg, where there is one) or GIF: one frame, the same colours and a scale bar in all pictures."""
+"""A film of the cross-section, MP4 (by ffmpeg) or GIF; all pictures have the same extent, colours and scale bar."""
 
+import contextlib
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +19,10 @@ from ..files.result import Result
 from .picture import colour_range, cut, drawable, panels, stage, stored_steps, view
 from .words import title
 
-SECONDS = 4.0  # a film lasts about so long, whatever the number of its pictures
-RATES = (5.0, 25.0)  # pictures in a second, least and most
-REST = 1.5  # s that the last picture stays
-PIXELS = 250  # along the particle's longer side
+SECONDS = 4.0  # approximate length of a film
+RATES = (5.0, 25.0)  # least and greatest number of pictures in a second
+REST = 1.5  # s for which the last picture stays
+PIXELS = 250  # along the longer side of the particle
 SUFFIXES = (".mp4", ".gif")
 
 
@@ -28,20 +30,17 @@ def animate(
     result: Result, path: str | Path | None = None, field: str = "T", fps: float | None = None,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Path:  # fmt: skip
-    """Write a film of the cut through particle and target, a picture for each stored step.
+    """Write a film of the cross-section through particle and target, with a picture for each stored step. Returns the path.
 
-    path: an .mp4 file, which needs ffmpeg (`ffmpeg`), or a .gif file; `<field>.mp4`, without ffmpeg `<field>.gif`, in the run's folder
-    unless given. field: a name of `fields.FIELDS`. fps: pictures in a second; such that the film lasts some seconds unless given.
-    stage(text): called with the name of each step. Returns the path. Raises StoreError if the run lacks what is needed, the name of
-    the file ends otherwise or the file cannot be written.
+    path: an .mp4 file, which needs ffmpeg, or a .gif file; default: `<field>.mp4` (without ffmpeg `<field>.gif`) in the folder of the
+    run. field: key in `fields.FIELDS`. fps: pictures in a second; default: the film lasts about SECONDS. stage(text): called with the
+    name of each step. Raises StoreError if the run lacks the field, the path has another ending, or the file cannot be written.
     """
     path = Path(path) if path is not None else result.directory / f"{field}{SUFFIXES[ffmpeg() is None]}"
     if path.suffix.lower() not in SUFFIXES:
         raise StoreError(f"cannot write {path}: the name of a film ends in {' or '.join(SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise StoreError(f"cannot write {path}: there is no folder {path.parent}")
     if fps is not None and not 0.1 <= fps <= 100:
-        raise StoreError(f"fps = {fps:g} is outside 0.1 to 100 pictures per second")
+        raise StoreError(f"fps = {fps:g}: give 0.1 to 100 pictures per second")
     have = drawable(result)
     if not have:
         raise StoreError(f"{result.directory} holds no step of particle, surface and target: nothing to animate yet")
@@ -55,7 +54,7 @@ def animate(
 
 
 def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
-    """The pictures, (rows, columns, 3) each, all of one size with even numbers of rows and columns, as films need."""
+    """The pictures (rows, columns, 3), all of one size with even numbers of rows and columns, as a film requires."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
@@ -70,7 +69,7 @@ def frames(result: Result, field: str, told: Callable[[str], None] = lambda text
 
 
 def ffmpeg() -> str | None:
-    """The program that writes MP4: of the system, or of the optional package imageio-ffmpeg; None where there is neither."""
+    """The ffmpeg program of the system or of the optional package imageio-ffmpeg; None without both."""
     try:
         import imageio_ffmpeg
 
@@ -81,41 +80,31 @@ def ffmpeg() -> str | None:
 
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    """Pipe the pictures to ffmpeg. Raises StoreError where it is not there or fails."""
+    """Write the pictures through a pipe to ffmpeg. Raises StoreError if ffmpeg is missing or fails."""
     if (program := ffmpeg()) is None:
-        raise StoreError(
-            f"cannot write {path}: no ffmpeg; install it, or pip install coldspray[film]; a .gif needs none"
-        )
-    picture = next(pictures)
-    rows, columns, _ = picture.shape
+        raise StoreError(f"cannot write {path}: ffmpeg is missing: pip install coldspray[film], or write a .gif")
+    first = next(pictures)
+    rows, columns, _ = first.shape
     command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{columns}x{rows}", "-r", f"{rate:g}",
                "-i", "-", "-an", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-metadata", f"comment={MARK}",
                "-f", "mp4", str(path)]  # fmt: skip
     with tempfile.TemporaryFile() as errors:
         film = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
-        assert film.stdin is not None
-        try:
-            film.stdin.write(picture.tobytes())
-            for picture in pictures:
+        with contextlib.suppress(BrokenPipeError), film:  # broken: ffmpeg has failed, its message follows
+            assert film.stdin is not None
+            for picture in chain([first], pictures):
                 film.stdin.write(picture.tobytes())
             film.stdin.write(picture.tobytes() * rest)
-            film.stdin.close()
-        except BrokenPipeError:
-            pass  # it has failed: its message follows
-        except BaseException:
-            film.kill()
-            film.wait()
-            raise
-        if film.wait():
+        if film.returncode:
             errors.seek(0)
             reason = (errors.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-            raise StoreError(f"cannot write {path}: ffmpeg fails ({reason[:200]}); a .gif needs none")
+            raise StoreError(f"cannot write {path}: ffmpeg fails ({reason[:200]}); a .gif does not need it")
 
 
 def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
     images = [Image.fromarray(picture) for picture in pictures]
     images = [image.resize((image.width * 2 // 3, image.height * 2 // 3), Image.Resampling.LANCZOS) for image in images]
-    # One palette for all: the same colour has the same number in every picture.
+    # One palette for all pictures, so that colours keep their meaning
     sample = np.vstack([np.asarray(images[k]) for k in (0, len(images) // 2, -1)])
     palette = Image.fromarray(sample).quantize(colors=256)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]

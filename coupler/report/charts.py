@@ -1,6 +1,6 @@
-"""Curves of a run as plain figures for the page: energy, motion, time step, profiles with depth.
+"""Curves of a run for the page: energy, motion, time step, profiles over depth.
 
-Each is a dict of `traces` and `layout` in the words of plotly.js, which draws them in the reader's browser.
+Each figure is a dict with `traces` and `layout` of plotly.js, which draws it in the browser.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,8 +16,7 @@ Figure = dict[str, object]  # traces, layout and height, for JSON
 Trace = dict[str, object]
 History = Mapping[str, NDArray]
 
-# Entries of the ledger, from the bottom of the stack: columns of the history, words, colours (after Okabe & Ito, who
-# chose them to be told apart by everybody).
+# Terms of the ledger from the bottom of the stack: columns of the history, label, colour (Okabe & Ito, for colour-blind readers)
 LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("plastic_particle",), "plastic work, particle", "#d55e00"),
     (("plastic_target",), "plastic work, target", "#e69f00"),
@@ -30,7 +29,7 @@ LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("kinetic_target",), "kinetic, target", "#56b4e9"),
     (("kinetic_particle",), "kinetic, particle", "#0072b2"),
 )
-# Curves over time, by the name of their figure: label of the axis, factor from SI, columns of the history -> words.
+# Curves over time: name of the figure -> label of the axis, factor from SI, column of the history -> label
 CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
     "drift": ("ledger fails to close by (%)", 100.0, {"drift": "drift"}),
     "lengths": ("length (µm)", 1e6, {
@@ -42,12 +41,12 @@ CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 PART_OF_OTHER = 1e-3  # of the initial kinetic energy: a smaller rest is rounding
-MOMENT = 1e-13  # s: less than a page shows, and more than its digits leave out
+MOMENT = 1e-13  # s: invisible on the page, but more than its rounding
 
 
 def energy(history: History) -> Figure | None:
-    """The ledger over time, stacked, each impact in % of the kinetic energy of its own particle; None without its columns. The part of
-    the total that is in none of these columns is shown as "other", so that the stack is always the recorded total."""
+    """The ledger over time as stacked areas, each impact in % of the kinetic energy of its particle; None without the columns. "other"
+    is the part of the recorded total that is in no column."""
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
     history, starts = _apart(history)
@@ -74,7 +73,8 @@ def energy(history: History) -> Figure | None:
 
 
 def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
-    """A history with two rows that hold no numbers between impacts, so that no curve joins them, and the first row of each impact."""
+    """The history with two rows of NaN between impacts, so that no curve connects them; and the index of the first row of each
+    impact."""
     time = history["time"]
     firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
     apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
@@ -84,7 +84,7 @@ def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
 
 
 def over_time(history: History, name: str) -> Figure | None:
-    """A figure of CURVES; None without its columns."""
+    """A figure of CURVES; None without the columns."""
     label, factor, columns = CURVES[name]
     history = _apart(history)[0] if len(history.get("time", ())) else history
     traces = [
@@ -96,7 +96,7 @@ def over_time(history: History, name: str) -> Figure | None:
 
 
 def compared(histories: Mapping[str, History], column: str, label: str, factor: float) -> Figure | None:
-    """One column of several runs over time. histories: name of the run -> its history."""
+    """One column of several runs over time; None without it. histories: name of the run -> history."""
     traces = []
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
@@ -117,7 +117,7 @@ def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
 def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
-    """A field along the axis at several times, depth downwards. span: least and greatest depth to show, um."""
+    """A field along the axis at several times, with depth downwards; None without it. span: least and greatest depth to show, um."""
     traces = []
     for time, colour in shades(profile.time for profile in profiles).items():
         own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]
@@ -126,13 +126,13 @@ def with_depth(
 
 
 def shades(times: Iterable[float]) -> dict[float, str]:
-    """A colour for each time, the later the darker."""
+    """Time -> colour; later times are darker."""
     each = sorted(set(times))
     return {t: to_hex(colormaps["viridis_r"](0.15 + 0.85 * (k / max(len(each) - 1, 1)))) for k, t in enumerate(each)}
 
 
 def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) -> Figure | None:
-    """Normal stresses along the axis at the one time of the profiles, depth downwards. span: as in `with_depth`."""
+    """Normal stresses along the axis, from profiles of one time, with depth downwards. span: as in `with_depth`."""
     lines = [(profile, profile.values["stress"] * 1e-6) for profile in profiles if "stress" in profile.values]
     traces = [
         _down([(p, values[:, k]) for p, values in lines], f"σ<sub>{axis}</sub>", LINES[k], DASHES[k])
@@ -142,7 +142,7 @@ def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) ->
 
 
 def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> Trace:
-    """Values of several bodies as one line with gaps between them."""
+    """Values of several bodies as one curve with gaps between the bodies."""
     gap = [np.nan]
     x = np.concatenate([part for _, values in lines for part in (values, gap)])
     y = np.concatenate([part for profile, _ in lines for part in (profile.depth * 1e6, gap)])
@@ -161,7 +161,7 @@ def _deep(traces: Sequence[Trace], label: str, span: tuple[float, float], legend
 
 
 def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
-    """An axis for the values `key` of all traces, with room between them and the frame."""
+    """An axis that covers the values `key` of all traces, with a margin."""
     values = [v for t in traces for v in t[key] if v is not None]  # type: ignore[attr-defined]
     low, high = min(values, default=0.0), max(values, default=1.0)
     room = 0.04 * (high - low) or abs(0.04 * high) or 1.0
@@ -169,6 +169,6 @@ def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
 
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
-    """One curve, with seven digits, more than a screen shows; a value that is not a number is a gap."""
+    """One curve, rounded to seven digits; NaN makes a gap."""
     places = ([float(f"{value:.7g}") if np.isfinite(value) else None for value in values] for values in (x, y))
     return {**dict(zip("xy", places, strict=True)), "name": name, "mode": "lines", "line": {"width": 1.8, **line}}

@@ -19,7 +19,7 @@ from . import charts, parts, picture
 from .page import Page, embedded
 from .words import Line, errors_of, fill_table, plain, shown, table_lines, title
 
-MOST = 12  # runs: more do not stand beside each other
+MOST = 12  # runs that fit side by side
 CURVES = (
     ("height", "height above surface (µm)", 1e6), ("crater_depth", "crater depth (µm)", 1e6),
     ("velocity_z", "mean velocity of the particle (m/s)", 1.0), ("contact_force", "contact force (mN)", 1e3),
@@ -39,7 +39,7 @@ def names_of(results: Sequence[Result]) -> list[str]:
 
 
 def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
-    """Keys of the scenes, dotted, that are not the same in all runs, with what each run has ("" if nothing)."""
+    """(dotted key, its value in each run) for keys of the scenes that differ between runs; "" for a run without the key."""
     scenes = [{key: _text(value) for key, value in leaves(parts.scene_of(result))} for result in results]
     keys = dict.fromkeys(key for scene in scenes for key in scene)
     entries = [(key, [scene.get(key, "") for scene in scenes]) for key in keys]
@@ -47,8 +47,8 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
 
 
 def comparison_table(results: Sequence[Result]) -> Table:
-    """Scenes where they differ and all measures, a column for each run; of two runs also the change in %. Raises StoreError if a
-    summary is damaged or the runs are too few or too many."""
+    """Differences of the scenes and all measures, a column for each run; for two runs also the change in %. Raises StoreError if a
+    summary is damaged, or for fewer than 2 or more than MOST runs."""
     check_count(len(results))
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
@@ -67,7 +67,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
 
 
 def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
-    """The measures of the runs, with the errors that they have; of two runs also the change, and whether it is within both errors."""
+    """The measures of the runs with their errors; for two runs also the change, and whether it lies within both errors."""
     entries, errors = [plain(result.values) for result in results], [errors_of(result.summary) for result in results]
     groups = table_lines(entries)
     for group, lines in groups.items():
@@ -114,7 +114,7 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
 
 def compare(results: Sequence[Result], path: str | Path) -> Path:
     """Write the comparison: a figure if the path ends in .png, a page if it ends in .html. Returns the path. Raises StoreError if a run
-    lacks what is needed, the path ends otherwise or cannot be written."""
+    lacks needed data, the path has another ending, or the file cannot be written."""
     path = Path(path)
     if path.suffix.lower() == ".png":
         picture.save(comparison_picture(results), path)
@@ -126,7 +126,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
 
 
 def comparison_page(results: Sequence[Result]) -> str:
-    """The comparison as one HTML file with figure, table and curves."""
+    """The comparison as an HTML page with figure, table and curves."""
     check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
@@ -148,13 +148,14 @@ def comparison_page(results: Sequence[Result]) -> str:
 
 
 def check_count(runs: int) -> None:
-    """Raises StoreError if so many runs do not go side by side."""
+    """Raise StoreError unless a comparison is possible for this number of runs."""
     if not 2 <= runs <= MOST:
-        raise StoreError(f"a comparison needs 2 to {MOST} folders of results, got {runs}")
+        raise StoreError(f"compare: give 2 to {MOST} folders of runs, not {runs}")
 
 
 def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture.Cut], tuple[float, float, float]]:
-    """The last cut of each run in views of one size, and half its width, its bottom and top over the surface, um."""
+    """The cross-section of each run at its last step, all with views of one size; and half the width of the views, their bottom and top
+    relative to the surface, um."""
     stages = [picture.stage(result) for result in results]
     steps = [picture.stored_steps(result) - 1 for result in results]
     own = [picture.view(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]
@@ -170,7 +171,7 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture
 
 
 def _change(before: object, after: object, *errors: float | None) -> str:
-    """The change in %, and whether it is less than both errors together."""
+    """The change in % as text, and whether it is at most the sum of both errors; "" if the values are no numbers."""
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after))
     text = f"{round((after - before) / abs(before), 3) + 0.0:+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
     known = [error for error in errors if error is not None]

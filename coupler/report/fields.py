@@ -1,4 +1,4 @@
-"""Fields that are drawn: their words and colours, and their values anywhere in particle and target."""
+"""Fields for pictures: labels and colours, and interpolation of their values in particle and target."""
 
 from dataclasses import dataclass
 
@@ -9,27 +9,28 @@ from scipy.spatial import cKDTree
 from ..files.fields import Fields
 from ..geometry.tetrahedra import volumes
 
-NEAR = 12  # points whose average is the value at a place inside the particle
+NEAR = 12  # points over which a value inside the particle is averaged
 
 
 @dataclass(frozen=True)
 class Field:
-    """label, unit and factor from SI, for people; colours: a map of matplotlib; floor: its least value, if it has one."""
+    """label, unit: as displayed; factor: from SI to this unit; colours: colour map of matplotlib; floor: least possible value, None
+    without one; least_range: smallest range of the colours in this unit, below which they would show noise."""
 
     label: str
     unit: str
     factor: float
     colours: str
     floor: float | None = None
-    least_range: float = 1.0  # in the shown unit: below it colours would only magnify noise
+    least_range: float = 1.0
 
     @property
     def words(self) -> str:
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
-# Light is untouched and dark is hot, strained or stressed. The lightness of each map falls all the way, also in the
-# eyes of those who do not tell red from green, and in grey.
+# The lightness of each sequential map falls monotonically, also for colour-blind readers and in grey: dark is hot, strained or
+# stressed.
 FIELDS = {
     "T": Field("temperature", "K", 1.0, "YlOrRd"),
     "eps_p": Field("equivalent plastic strain", "", 1.0, "YlGnBu", 0.0, 0.01),
@@ -39,16 +40,15 @@ FIELDS = {
 
 
 def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple[NDArray[np.int64], NDArray]:
-    """Points and weights that interpolate a value at each place inside a cloud. points: (n, 3) m. places: (k, 3) m. void: m, a place
-    without a point so near lies in none of the metal. Returns indices and weights, (k, j) each; weights of a place sum to one, and are
-    not numbers in a void."""
+    """Interpolation from points (n, 3) m to places (k, 3) m. Returns indices of points and weights, (k, j) each; the weights of a place
+    sum to one. void: m; a place farther than this from all points is outside the metal, and its weights are NaN."""
     near = min(NEAR, len(points))
     tree, inside = cKDTree(points), np.arange(len(places))
     distance, index = np.full((len(places), near), np.inf), np.zeros((len(places), near), np.int64)
-    if np.isfinite(void):  # most places of a picture lie in none of the metal
+    if np.isfinite(void):  # most places of a picture are outside the metal
         inside = np.flatnonzero(np.isfinite(tree.query(places, distance_upper_bound=void)[0]))
     distance[inside], index[inside] = (of.reshape(-1, near) for of in tree.query(places[inside], k=near))
-    # Weights fall over the distance of the points from each other, wherever that has been stretched.
+    # The length over which weights fall is the local distance between points, which deformation changes
     reach = np.maximum(distance[:, min(3, near - 1)], 1e-12)[:, None]
     weight = np.full_like(distance, np.nan)
     weight[inside] = np.exp(-((distance[inside] / reach[inside]) ** 2))
@@ -56,7 +56,7 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:
-    """A field at the points, (n, ...); values in tetrahedra are averaged with the volumes as weights."""
+    """A field at the points, (n, ...). Values in tetrahedra are averaged over the tetrahedra of a point, weighted by volume."""
     values = fields.data[name].astype(float)
     if len(values) == len(fields.points):
         return values

@@ -1,4 +1,4 @@
-"""One HTML file about one run: opens offline in any browser, asks for nothing outside of itself."""
+"""One HTML file about one run, which any browser opens offline: it contains all its parts."""
 
 import base64
 import io
@@ -27,13 +27,13 @@ from .profiles import profiles
 from .solid import frames, solid
 from .words import alerts, title, verdict
 
-PICTURES = 5  # of the cut
+PICTURES = 5  # of the cross-section
 FRONT_WARNINGS = 3
-PICTURE_PIXELS = 260  # along the particle: a picture is a third of the page wide
+PICTURE_PIXELS = 260  # along the particle: a picture has a third of the width of the page
 
 
 class Page:
-    """Sections with their headings, and the curves that belong into them."""
+    """A page under construction: sections with headings, and data of its curves and its 3D view."""
 
     def __init__(self) -> None:
         self.sections: list[tuple[str, str, str]] = []  # id, heading, HTML
@@ -46,7 +46,7 @@ class Page:
             self.sections.append((name, heading, body))
 
     def chart(self, name: str, figure: charts.Figure | None, heading: str = "") -> str:
-        """HTML element for a curve; "" without a figure."""
+        """Add a curve. Returns its HTML element; "" without a figure."""
         if figure is None:
             return ""
         self.charts[name] = figure
@@ -71,8 +71,8 @@ def write_report(
     result: Result, path: str | Path | None = None, stage: Callable[[str], None] = lambda text: None,
     coating: Sequence[tuple[str, str]] = (),
 ) -> Path:  # fmt: skip
-    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text): called with the
-    name of each step. coating: measures of the coating, label and value each (`studies.coating.lines`). Returns the path. Raises
+    """Write the page about a run, finished or not. path: default `report.html` in the folder of the run. stage(text): called with the
+    name of each step. coating: measures of the coating as (label, text), from `studies.coating.lines`. Returns the path. Raises
     StoreError if a file of the run is damaged or the page cannot be written."""
     path = Path(path) if path is not None else result.directory / "report.html"
     write_text(path, report(result, stage, coating))
@@ -82,7 +82,7 @@ def write_report(
 def report(
     result: Result, stage: Callable[[str], None] = lambda text: None, coating: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """The page about a run as HTML. stage(text): called with the name of each step. coating: as of `write_report`."""
+    """The page about a run as HTML. stage, coating: as of `write_report`."""
     page, summary, values = Page(), result.summary, result.values
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     conditions = parts.conditions(result)
@@ -131,26 +131,31 @@ def report(
     return page.html(title(result), _under(result), top, FOOTER)
 
 
-def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps to draw, `most` at most: in even times up to the greatest deformation, if the summary names it, and the last step. For
-    several impacts their greatest deformations and the last step; without any, evenly spaced steps."""
+def picks(result: Result) -> list[int]:
+    """Indices of the stored steps to draw, PICTURES at most. One impact: steps at even times up to the greatest deformation, and
+    the last step. Several impacts: their greatest deformations, and the last step. Without a summary: evenly spaced steps."""
     times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1
     peaks = list(_named_times(result.summary).values())
     if not peaks:
-        return sorted({round(k) for k in np.linspace(0, last, min(most, last) + 1)[min(1, last) :]})
+        return sorted({round(k) for k in np.linspace(0, last, min(PICTURES, last) + 1)[min(1, last) :]})
     turns = [int(np.argmin(np.abs(times - peak))) for peak in peaks]
     if len(turns) > 1:
-        return sorted({turns[round(k)] for k in np.linspace(0, len(turns) - 1, min(most - 1, len(turns)))} | {last})
-    wanted = [times[turns[0]] * share for share in np.linspace(0, 1, most)[1:]]
+        return sorted({turns[round(k)] for k in np.linspace(0, len(turns) - 1, min(PICTURES - 1, len(turns)))} | {last})
+    wanted = [times[turns[0]] * share for share in np.linspace(0, 1, PICTURES)[1:]]
     return sorted({int(np.argmin(np.abs(times - time))) for time in wanted} | {last})
 
 
 def embedded(figure: Figure) -> str:
-    """A figure of matplotlib as a data URL that contains the picture."""
+    """A figure of matplotlib as the data URL of a PNG."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    return image_of(stream.getvalue())
+
+
+def image_of(png: bytes) -> str:
+    """The data URL of a PNG."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 FOOTER = "Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
@@ -167,7 +172,7 @@ their range has the last one.</p>"""
 
 
 def _named_times(summary: Summary) -> dict[str, float]:
-    """The time of the greatest deformation of each impact, s from the start of the run."""
+    """Label -> time of the greatest deformation of each impact, s after the start of the run."""
     entries, times, start = summary.get("impacts", []), {}, 0.0
     for number, entry in enumerate(entries, 1):
         time, lasted = ((entry.get(block) or {}).get("time_s") for block in ("greatest", "end"))
@@ -186,14 +191,14 @@ def _under(result: Result) -> str:
 
 
 def _state(result: Result, history: Mapping[str, NDArray]) -> str:
-    """The verdict, and what limits the trust in the result."""
+    """The verdict, and reasons to doubt the result: unfinished, undecided, or an alert."""
     notes: list[tuple[str, str, str]] = []  # id, head and text as HTML
     if not result.finished:
         reached = f" It has reached {history['time'][-1] * 1e9:.1f} ns." if len(history.get("time", ())) else ""
-        text = f": it is still running or was stopped.{reached} This page shows what is written so far."
+        text = f": it is still running or was stopped.{reached} This page shows the data so far."
         notes.append(("unfinished", "This run is not finished", text))
     if result.undecided is not None:
-        hint = ". <code>coldspray resume</code> goes on with it." if result.at_limit else ""
+        hint = ". <code>coldspray resume</code> continues it." if result.at_limit else ""
         notes.append(("undecided", "This run is undecided", f": {escape(result.undecided)}{hint}"))
     notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in alerts(result.summary)]
     state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
@@ -203,7 +208,7 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
 
 
 def _so_far(history: Mapping[str, NDArray]) -> str:
-    """The last line of the history, for a run without a summary."""
+    """The last row of the history, for a run without a summary."""
     keys = {
         "time": "time_s", "height": "height_m", "thickness": "thickness_m", "crater_depth": "crater_depth_m",
         "velocity_z": "velocity_z_m_s", "T_max": "T_max_K", "eps_p_mean": "eps_p_mean", "drift": "energy_drift", "step": "steps",
@@ -214,7 +219,7 @@ def _so_far(history: Mapping[str, NDArray]) -> str:
 
 
 def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
-    """Pictures of the cut at several times, a row for each, every field with its colours."""
+    """Pictures of the cross-section: a row for each time, a picture for each field. named: label -> time, s, for the captions."""
     pictures = []
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"
@@ -227,7 +232,7 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
 
 
 def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
-    """A cut by one field, its colours below."""
+    """A cross-section coloured by one field, with the colour bar below."""
     left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches
     tall = wide * (top - bottom) / (right - left)
@@ -249,8 +254,8 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) 
     figures["depth-stress"] = charts.stress_with_depth(last, span)
     places = "".join(page.chart(name, figure) for name, figure in figures.items())
     caption = (
-        "On the vertical line through the middle of the splat, from its top into the substrate; the gap in each line is where the "
-        "bodies meet, the dashed line the undeformed surface. Normal stresses at the last time, tension positive."
+        "On the vertical line through the middle of the splat, from its top into the substrate. The gap in each line is the interface; "
+        "the dashed line is the undeformed surface. Normal stresses are those of the last time; tension is positive."
     )
     colours = charts.shades(profile.time for profile in lines)
     key = "".join(f'<span><i style="background:{c}"></i>{time * 1e9:.1f} ns</span>' for time, c in colours.items())
@@ -263,10 +268,11 @@ def _energy(page: Page, history: Mapping[str, NDArray]) -> str:
     if not stack:
         return ""
     caption = (
-        "Where the kinetic energy of the particle is at each time after its start; each impact is drawn in % of its own. The stack is "
-        "the sum of all terms of the ledger; its distance from 100 % is the drift below."
+        "The initial kinetic energy of the particle is transformed into these terms; each impact is drawn in % of its own. The "
+        "stack is the sum of all terms of the ledger; its distance from 100 % is the drift below."
     )
-    return f'<p class="caption">{caption}</p>{stack}{page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")}'
+    drift = page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")
+    return f'<p class="caption">{caption}</p>{stack}{drift}'
 
 
 def _scene(result: Result) -> str:
@@ -275,7 +281,7 @@ def _scene(result: Result) -> str:
     except StoreError:
         return ""
     return (
-        '<p class="caption">With every default written out; save it as a file and compute it again with '
+        '<p class="caption">With all default values. Save it as a file and compute it again with '
         "<code>coldspray run</code>.</p>"
         '<div class="code"><button class="copy" type="button" data-of="scene-text">Copy</button>'
         f'<pre id="scene-text">{escape(text)}</pre></div>'

@@ -1,4 +1,4 @@
-"""Parts of the page in HTML: tables, lists. Everything that comes from a run is escaped here."""
+"""Parts of the page as HTML: tables and lists. Texts of a run are escaped here."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,9 +12,9 @@ from ..measures import measure
 from . import words
 from .words import Line, brief, columns, errors_of, impacts, plain, shown, span, table_lines
 
-FRONT_ROWS = 8  # of particles, that the first sheet has room for
+FRONT_ROWS = 8  # particles on the first sheet
 SIDE_BY_SIDE = 6  # impacts
-# Of a material: name, what it is, factor to the unit it is shown in, unit.
+# Constants of a material: name, meaning, factor from SI to the display unit, unit.
 CONSTANTS = (
     ("rho", "density", 1.0, "kg/m³"),
     ("G", "shear modulus", 1e-9, "GPa"),
@@ -27,6 +27,10 @@ CONSTANTS = (
 )
 
 
+class Html(str):
+    """HTML text of a cell, which `table` does not escape."""
+
+
 def table(
     head: Sequence[str],
     rows: Iterable[Sequence[str]],
@@ -34,8 +38,8 @@ def table(
     off: Sequence[int] = (),
     stack: bool = False,
 ) -> str:
-    """A table of texts. numbers: columns that are set to the right; off: rows in grey; a head of empty texts is left out. stack: on a
-    narrow screen the cells of a row stand below each other, each after its head."""
+    """A table of texts. numbers: indices of right-aligned columns; off: indices of grey rows; a head of empty texts is left out. stack:
+    on a narrow screen the cells of a row are stacked, each after its head."""
     kinds = ["n" if k in numbers else "" for k in range(len(head))]
     above = f"<thead>{_row(head, kinds, 'th')}</thead>" if any(head) else ""
     heads = head if stack else ()
@@ -44,20 +48,22 @@ def table(
 
 
 def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "", heads: Sequence[str] = ()) -> str:
-    """A row of a table. kinds: the class of each cell, "" for none; kind: class of the row; heads: of the columns, to repeat."""
+    """A row of a table. kinds: CSS class of each cell, "" for none; kind: class of the row; heads: of the columns, for stacked
+    cells."""
 
     def of(name: str, attribute: str = "class") -> str:
         return f' {attribute}="{escape(name)}"' if name else ""
 
     inner = "".join(
-        f"<{tag}{of(kinds[k])}{of(heads[k] if heads else '', 'data-head')}>{escape(cell)}</{tag}>"
+        f"<{tag}{of(kinds[k])}{of(heads[k] if heads else '', 'data-head')}>"
+        f"{cell if isinstance(cell, Html) else escape(cell)}</{tag}>"
         for k, cell in enumerate(cells)
     )
     return f"<tr{of(kind)}>{inner}</tr>"
 
 
 def front(summary: Summary) -> str:
-    """The main measures with their errors; of several impacts a row for each of the first FRONT_ROWS."""
+    """The main measures with their errors; with several impacts a row for each of the first FRONT_ROWS."""
     (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
     more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
     note = escape("; ".join(text for text in (more, words.of_run(summary), words.error_note(summary)) if text))
@@ -67,8 +73,8 @@ def front(summary: Summary) -> str:
 
 
 def measures(summary: Summary) -> str:
-    """All measures of a run, a table for each group: of a single impact with errors if there are any, of several impacts the measures
-    of the whole run."""
+    """All measures of a run, a table for each group. A single impact: with errors, if there are any. Several impacts: measures of the
+    whole run alone."""
     is_one = len(summary.get("impacts", [])) == 1
     blocks = columns(summary) if is_one or not summary else {"": plain(summary["run"])}
     errors = errors_of(summary) if is_one else {}
@@ -78,15 +84,14 @@ def measures(summary: Summary) -> str:
         heads = [list(blocks)[k] for k in used] if len(used) > 1 else [""] * len(used)
         rows = [[line.label, *(line.cells[k] for k in used), line.unit] for line in lines]
         tables.append(table([group.capitalize(), *heads, ""], rows, numbers=range(1, 1 + len(used))))
-    items = "".join(f"<li>{escape(text)}</li>" for text in words.remarks(summary))
-    note = f'<ul class="caption">{items}</ul>' if items else ""
+    note = items(words.remarks(summary), "caption")
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables or note else ""
 
 
 def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) -> str:
-    """Groups of measures (`words.table_lines`), one column for each heading."""
+    """Groups of measures (`words.table_lines`) with one column for each heading."""
     rows: list[list[str]] = []
-    heads = []  # of the groups, in grey
+    heads = []  # rows with the name of a group, in grey
     for group, lines in groups.items():
         heads.append(len(rows))
         rows.append([group.capitalize(), *[""] * len(headings)])
@@ -95,7 +100,7 @@ def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) 
 
 
 def each_impact(summary: Summary) -> str:
-    """The impacts of a run of several: few side by side with all measures, many below each other with the main ones."""
+    """The impacts of a run with several: up to SIDE_BY_SIDE side by side with all measures, more in rows with the main measures."""
     entries = impacts(summary)
     if len(entries) > SIDE_BY_SIDE:
         head, *rows = brief(summary)
@@ -113,7 +118,7 @@ COLD_ROWS = (
 
 
 def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
-    """Results of the closing stage: the lines on stress of the coating, and COLD_ROWS."""
+    """Results of the closing stage: lines of `coating` about stress, and COLD_ROWS."""
     closing = summary.get("closing", {})
     known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
     stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]
@@ -121,7 +126,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 
 def scene_of(result: Result) -> Values:
-    """The scene as nested dicts of its texts; empty if it cannot be read."""
+    """The scene of a run as nested dicts; empty if it cannot be read."""
     try:
         return parse_toml(result.scene_text)
     except (StoreError, ValueError):
@@ -129,7 +134,7 @@ def scene_of(result: Result) -> Values:
 
 
 def conditions(result: Result) -> str:
-    """Particles, target, contact, adhesion, end and resolution, from the plan of the run; "" without one."""
+    """Particles, target, contact, adhesion, end and resolution, from the plan of the run; "" without a plan."""
     plan = result.plan
     if not plan:
         return ""
@@ -159,7 +164,7 @@ def conditions(result: Result) -> str:
 
 
 def _resolution(plan: Values, summary: Summary) -> list[str]:
-    """Points of all particles with their spacings, and elements of the substrate with their size, in words."""
+    """Texts: number of points of all particles with their spacings; size of the elements of the substrate."""
     both = list(zip(plan["impacts"], summary.get("impacts") or [{}] * len(plan["impacts"]), strict=False))
     points = [own.get("points", planned["points"]) for planned, own in both]
     spacings = [own.get("spacing_m", planned["spacing"]) for planned, own in both]
@@ -172,7 +177,7 @@ def _resolution(plan: Values, summary: Summary) -> list[str]:
 
 
 def definitions(lines: Iterable[tuple[str, str]]) -> str:
-    """A list of terms with their definitions."""
+    """A definition list of (term, text); empty texts are left out."""
     return f"<dl>{''.join(f'<dt>{escape(word)}</dt><dd>{escape(text)}</dd>' for word, text in lines if text)}</dl>"
 
 
@@ -191,7 +196,7 @@ def _particle(body: Values) -> str:
 
 
 def provenance(summary: Summary) -> str:
-    """Date, program, machine, scene and command of a result, in a few lines."""
+    """Date, program, machine, scene and command of a result; "" if they are not known."""
     record = summary.get("provenance") or {}
     if not record:
         return ""
@@ -209,7 +214,7 @@ def provenance(summary: Summary) -> str:
 
 
 def effects(result: Result) -> str:
-    """The effects that took part, and the reasons, from the plan of the run."""
+    """The effects that are on or off in the run, with the reasons, from its plan."""
     if not result.plan:
         return '<p class="note">Not known: this run has no readable plan.json.</p>'
     rows = []
@@ -221,7 +226,7 @@ def effects(result: Result) -> str:
 
 
 def material_data(result: Result) -> str:
-    """The constants of the run's materials with their sources, folded away; nothing without a plan."""
+    """The constants of the materials with their sources, collapsed; "" without a plan."""
     if not result.plan:
         return ""
     bodies = [body["material"] for body in (*result.plan["impacts"], result.plan["target"])]
@@ -243,13 +248,19 @@ def material_data(result: Result) -> str:
 
 
 def warnings(texts: Sequence[object] | None) -> str:
-    """The warnings of a run, or of its plan; nothing if there are none."""
-    items = "".join(f"<li>{escape(str(text))}</li>" for text in texts or ())
-    return f'<div class="warn"><ul>{items}</ul></div>' if items else ""
+    """The warnings of a run or of its plan; "" without any."""
+    return f'<div class="warn">{items(map(str, texts))}</div>' if texts else ""
+
+
+def items(texts: Iterable[str], kind: str = "") -> str:
+    """A list of texts; "" without any. kind: CSS class."""
+    lines = "".join(f"<li>{escape(text)}</li>" for text in texts)
+    head = f'<ul class="{kind}">' if kind else "<ul>"
+    return f"{head}{lines}</ul>" if lines else ""
 
 
 def pace(values: Values) -> str:
-    """Time of a step, and which part of the model limited it, as far as `Result.values` says."""
+    """Wall time of a step, and the limits of the time step, from `Result.values`; "" if they are not known."""
     loop, steps, simulated = (values.get(key) for key in ("wall_loop_s", "steps", "sim_time_s"))
     if not (loop and steps and simulated):
         return ""

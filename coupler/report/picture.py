@@ -1,4 +1,4 @@
-"""Pictures of the cut through particle and target."""
+"""Pictures of the cross-section through particle and target."""
 
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -33,19 +33,19 @@ from .fields import FIELDS, at_nodes, from_points
 from .words import title
 
 MICRO = 1e6
-VOID = 1.6  # spacings: twice what lies between the points of a lattice
-RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
-FAR = 1.3  # diameters above the target: a particle that is higher has left the picture
-PIXELS = 320  # along the longer side of the particle: about what a figure has there
-READABLE = 8.0  # points
-LETTER = 0.6  # width of a letter over the size of its font, at most, in words
+VOID = 1.6  # spacings: a place in the particle farther than this from all points is a void
+RAISED = 0.03  # diameters above the surface: higher parts of the target belong to a rim, a jet or a splat
+FAR = 1.3  # diameters above the target: a higher particle is outside the picture
+PIXELS = 320  # along the longer side of the particle
+READABLE = 8.0  # points: least size of a font
+LETTER = 0.6  # greatest mean width of a letter over the size of its font
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
 
 View = tuple[float, float, float, float]  # left, right, bottom, top, um
 
 
 class Range(NamedTuple):
-    """Ends of the colours of a field, in the units of `FIELDS`; exceeded: some values lie clearly above them."""
+    """Ends of the colour scale of a field, in the units of `FIELDS`; exceeded: some values lie clearly above `high`."""
 
     low: float
     high: float
@@ -54,8 +54,8 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class Stage:
-    """Position of all cuts of a run, from its first step: plane y (m); level of the undeformed surface and the
-    particle's diameter (um); void (m): a place in the particle that has no point so near is hollow."""
+    """Position of all cross-sections of a run, from its first step. plane: y, m; level: height of the undeformed surface, um;
+    diameter: of the particle, um; void: a place in the particle farther than this from all points is hollow, m."""
 
     plane: float
     level: float
@@ -65,9 +65,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Cut:
-    """The cut at one time (s). Lengths in um, values in the units of `FIELDS`. loops: outline of the particle, (k, 2) each. corners:
-    polygons of the target, (q, 4, 2). rim: surfaces of substrate and splats, (r, 2, 2); is_substrate (r,): the substrate's, where there
-    are splats. values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`."""
+    """The cross-section at one time. Lengths in um, values in the units of `FIELDS`.
+
+    time: s; level: height of the undeformed surface; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
+    (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
+    substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels over `extent`, the
+    particle.
+    """
 
     time: float
     level: float
@@ -82,12 +86,12 @@ class Cut:
 
 
 def stored_steps(result: Result) -> int:
-    """Steps of which particle, surface and target are all written."""
+    """Number of steps for which particle, surface and target are stored."""
     return min(len(result.times(domain)) for domain in DOMAINS)
 
 
 def drawable(result: Result) -> list[str]:
-    """Names of the fields that can be drawn: particle and target have them; none without a stored step."""
+    """Keys of FIELDS that both particle and target have; empty without a stored step."""
     if not stored_steps(result):
         return []
     first = [result.fields(0, domain).data for domain in ("particle", "target")]
@@ -95,10 +99,10 @@ def drawable(result: Result) -> list[str]:
 
 
 def stage(result: Result) -> Stage:
-    """The plane through the middle of the particle at the start; of several particles the first plane that cuts the most of them.
-    Raises StoreError without a stored step."""
+    """The position of the cross-sections of a run: through the middle of the particle at the start; with several particles, the first
+    plane through a centre that cuts the most of them. Raises StoreError without a stored step."""
     if not stored_steps(result):
-        raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
+        raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: draw it later")
     particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
     start, volume = surface.points, abs(enclosed_volume(surface.points, surface.cells))
     plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
@@ -107,10 +111,11 @@ def stage(result: Result) -> Stage:
 
 
 def _most_cut(plan: Values, first: float) -> float:
-    """The plane y (m) through the centre of one of a plan's particles that cuts the most of them; first: y of the first one."""
+    """The plane y (m) through the centre of a particle of a plan that cuts the most particles. first: y (m) of the first particle, the
+    result without a readable plan."""
     try:
         impacts = [(float(each["offset"][1]), float(each["diameter"])) for each in plan["impacts"]]
-    except (KeyError, TypeError, IndexError, ValueError):  # without a plan that can be read
+    except (KeyError, TypeError, IndexError, ValueError):  # no readable plan
         return first
     cuts = [sum(abs(y - plane) < 0.4 * diameter for y, diameter in impacts) for plane, _ in impacts]
     best = int(np.argmax(cuts)) if cuts else 0
@@ -118,8 +123,8 @@ def _most_cut(plan: Values, first: float) -> float:
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
-    """Extent of a picture, um: particle, splats and jets of the target at all the given steps, and a margin. While a particle flies
-    away it keeps its size: it is shown up to FAR diameters above all that is raised."""
+    """Extent of a picture, um: particle, splats and jets at all given steps, with a margin. A particle that flies away does not enlarge
+    the picture beyond FAR diameters above the highest part of the target."""
     ends, D = [], at.diameter
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
@@ -139,8 +144,8 @@ def view(result: Result, steps: Iterable[int], at: Stage) -> View:
 
 
 def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS) -> Cut:
-    """Cut particle and target at a stored step; names: fields of `FIELDS`; pixels: along the particle's longer side. Raises StoreError
-    if something that is needed is missing."""
+    """The cross-section of particle and target at a stored step. names: keys of `FIELDS`; at: its plane; seen: extent of the picture;
+    pixels: along the longer side of the particle. Raises StoreError if data are missing."""
     particle, surface, target = read(result, step, names)
     loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
     images, extent = _images(particle, names, loops, at, pixels)
@@ -148,7 +153,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, 
 
 
 def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
-    """Cut tetrahedra alone; arguments as for `cut`."""
+    """The cross-section of tetrahedra alone; arguments as for `cut`."""
     polygons, _ = section_of_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
@@ -165,8 +170,8 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
 
 
 def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Lines (r, 2, 2) um in which the plane cuts the surfaces of substrate and splats, and a mask (r,) of the substrate's lines, if
-    there are splats."""
+    """Lines (r, 2, 2), um, in which the plane cuts the surfaces of substrate and splats; mask (r,) of the lines of the substrate, all
+    False without splats."""
     skin, owner = boundary_faces(target.cells)
     body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
     parts = [
@@ -178,8 +183,8 @@ def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]
 
 
 def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
-    """The cut through all bodies after the closing stage, and the colours of COLD_FIELDS: tension and compression reach as far. Raises
-    StoreError where nothing is stored of that stage."""
+    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS; the scale of the in-plane stress is
+    symmetric about 0. Raises StoreError if the run has no closing stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
     section = cut_bodies(bodies, COLD_FIELDS, at, seen)
@@ -189,11 +194,12 @@ def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Rang
 
 
 def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fields, Fields]:
-    """Particle, surface and target at a stored step, with all that a picture needs. Raises StoreError if they lack it."""
+    """Particle, surface and target at a stored step, checked for a picture. Raises StoreError if there is no such step, a field of
+    `names` is missing, or values are not finite."""
     steps = stored_steps(result)
     if not -steps <= step < steps:
         have = f"{steps} steps of particle, surface and target"
-        raise StoreError(f"{result.directory} has {have}, there is no step {step}")
+        raise StoreError(f"{result.directory} has {have}; step {step} does not exist")
     particle, surface, target = (result.fields(step % steps, domain) for domain in DOMAINS)
     missing = {name for name in names for fields in (particle, target) if name not in fields.data}
     if missing or target.cells.shape[1:] != (4,) or surface.cells.shape[1:] != (3,):
@@ -203,7 +209,7 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     numbers += [fields.data[name] for name in names for fields in (particle, target)]
     if not all(np.isfinite(part).all() for part in numbers):
         raise StoreError(
-            f"{result.directory}: step {step % steps} has values that are not finite numbers: the run became unstable;"
+            f"{result.directory}: step {step % steps} has values that are not finite numbers, because the run became unstable:"
             " draw an earlier step, or try a finer preset"
         )
     return particle, surface, target
@@ -212,8 +218,7 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
 def _images(
     particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
 ) -> tuple[dict[str, NDArray], View]:
-    """The particle's fields on pixels over its section, averaged from the nearest points, no numbers where it is
-    hollow; the extent in um."""
+    """Fields of the particle on pixels over its cross-section, averaged over the nearest points, NaN in voids; and the extent, um."""
     if not loops:
         return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
     corners = np.concatenate(loops)
@@ -232,12 +237,12 @@ def _images(
 
 
 def colour_range(cuts: Sequence[Cut], name: str) -> Range:
-    """The colours of a field, one range for all cuts, so that colours mean the same in each of them."""
+    """The colour scale of a field, the same for all cross-sections."""
     field = FIELDS[name]
-    parts = [part[np.isfinite(part)] for cut in cuts for part in (cut.values[name], cut.images[name])]  # no hollows
+    parts = [part[np.isfinite(part)] for cut in cuts for part in (cut.values[name], cut.images[name])]  # without voids
     parts = [part for part in parts if part.size]
     low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
-    # A few points at an edge must not take the whole range of colours, nor one body that of the other.
+    # The percentile of each body limits the influence of a few points at an edge, and of one body on the other
     high = max([*(float(np.percentile(part, 99.5)) for part in parts), low + field.least_range])
     return Range(low, high, any(part.max() > 1.02 * high for part in parts))
 
@@ -250,11 +255,11 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
     flat = corners.reshape(-1, 2)
     sides = np.roll(flat[halves], -1, axis=1) - flat[halves]
-    # Thinner than a pixel or two they show nothing but streaks of colours beyond those of their corners.
+    # Gouraud shading of triangles thinner than about a pixel makes streaks of wrong colours
     double_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
     thick = double_area > (right - left) / 600 * np.hypot(sides[..., 0], sides[..., 1]).max(axis=1)
     style = {"array": values.mean(axis=1), "cmap": colours, "norm": scale, "edgecolors": "face", "linewidths": 0.5}
-    axis.add_collection(PolyCollection(list(corners), **style))  # so that no seam shows white
+    axis.add_collection(PolyCollection(list(corners), **style))  # below the shading, against white seams
     if thick.any():
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
@@ -280,7 +285,7 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
 
 
 def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = False) -> None:
-    """Draw the colours of a field with their values. length: of the bar, inches; across: lying down."""
+    """Draw the colour bar of a field. length: of the bar, inches; across: horizontal."""
     field = FIELDS[name]
     bar = box.figure.colorbar(
         ScalarMappable(Normalize(ends.low, ends.high), field.colours), cax=box,
@@ -291,7 +296,7 @@ def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = 
 
 
 def fitted(words: str, length: float) -> tuple[str, float]:
-    """Words in as few lines as a length (inches) lets be readable, and the size of their font, points."""
+    """Words in as few lines as are readable on a length (inches), and the size of their font, points."""
     label, size = words, 0.0
     for width in sorted({len(words), *(i for i, letter in enumerate(words) if letter == " ")}, reverse=True):
         lines = textwrap.wrap(words, width, break_long_words=False)
@@ -302,7 +307,7 @@ def fitted(words: str, length: float) -> tuple[str, float]:
 
 
 def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
-    """Draw a length of 1, 2 or 5 times a power of ten, in um."""
+    """Draw a scale bar of 1, 2 or 5 times a power of ten, um. seen: extent of the picture, um."""
     left, right, bottom, top = seen
     wanted = (right - left) / 7
     power = 10.0 ** np.floor(np.log10(wanted))
@@ -314,32 +319,32 @@ def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
 
 
 def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """A white figure of this size in inches that needs no screen."""
+    """A white figure of a size in inches, independent of a screen."""
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a place in a figure, all in inches."""
+    """Axes at a position in a figure; all lengths in inches."""
     across, down = figure.get_size_inches()
     return figure.add_axes((left / across, bottom / down, width / across, height / down))
 
 
 def label_log(axis: Axis, factor: float = 1.0) -> None:
-    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten, or in even steps where these are too few. factor:
-    from the values to the unit of the labels."""
+    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten; a short axis in even steps. factor: from the
+    values to the unit of the labels."""
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
-LONGEST_HEADING = 56  # characters that fit beside the time at the full size of the font
+LONGEST_HEADING = 56  # characters beside the time at the full size of the font
 
 
 def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
-    """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other."""
+    """A figure of one cross-section with a panel and a colour bar for each field of `ranges`, one below the other."""
     left, right, bottom, top = section.view
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
     tall, count = width * (top - bottom) / (right - left), len(ranges)
@@ -359,9 +364,9 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
 
 
 def section_picture(result: Result, path: str | Path | None = None, step: int = -1) -> Path:
-    """Draw the cut through the middle of particle and target, once by temperature, once by plastic strain. path: PNG file,
-    `section.png` in the run's folder unless given. step: stored step, -1 is the last. Returns the path. Raises StoreError if something
-    to draw is missing or the picture cannot be written."""
+    """Draw the cross-section through the middle of particle and target, by temperature and by plastic strain. path: PNG file,
+    default `section.png` in the folder of the run. step: stored step, -1 is the last. Returns the path. Raises StoreError if data
+    are missing or the picture cannot be written."""
     path = Path(path) if path is not None else result.directory / "section.png"
     save(section_figure(result, step), path)
     return path
@@ -370,12 +375,11 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
 def section_figure(result: Result, step: int = -1) -> Figure:
     """The figure of `section_picture`. Raises StoreError if something to draw is missing."""
     at, names = stage(result), ("T", "eps_p")
-    read(result, step, names)
     section = cut(result, step, names, at, view(result, [step], at))
     return panels(section, {name: colour_range([section], name) for name in names}, title(result))
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG. Raises StoreError if it cannot be written."""
+    """Write a figure as PNG. Raises StoreError if the file cannot be written."""
     with replacing(path) as part:
         figure.savefig(part, format="png", metadata={"Software": MARK})

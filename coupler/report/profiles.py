@@ -17,8 +17,8 @@ SAMPLES = 60  # in each body
 
 @dataclass(frozen=True)
 class Profile:
-    """Values along the line in one body at one time (s). depth (k,) m below the undeformed surface, increasing. values: name ->
-    (k, ...) in SI units, stress in the order xx yy zz xy yz xz."""
+    """Values along the line in one body. time: s; depth (k,): below the undeformed surface, m, increasing; values: field -> (k,
+    ...), SI; stress in the order xx yy zz xy yz xz."""
 
     time: float
     depth: NDArray
@@ -26,9 +26,9 @@ class Profile:
 
 
 def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: float) -> list[Profile]:
-    """Profiles through splat and substrate at a stored step, no numbers where the splat is hollow. names: fields that are stored; those
-    a body lacks are left out. at: plane, undeformed surface, size of a void. reach (m): depth at which to end. Raises StoreError if a
-    file is missing or damaged."""
+    """Profiles through splat and substrate at a stored step; NaN where the splat is hollow. names: fields; a body without one of
+    them has no values for it. at: gives the undeformed surface and the size of a void. reach: greatest depth, m. Raises StoreError
+    if a file is missing or damaged."""
     level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))
@@ -58,13 +58,13 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
 
 
 def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:
-    """Heights, from below, at which the vertical line at x, y meets a closed surface: in and out, in and out. points: (n, 3).
-    triangles: (m, 3)."""
+    """Ascending heights (m) at which the vertical line at x, y (m) crosses a closed surface; it enters and leaves in turn. points
+    (n, 3) m; triangles (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     u, v = b[:, :2] - a[:, :2], c[:, :2] - a[:, :2]
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     size = max(float(np.abs(area).max()), 1e-300)
-    # A hair beside the middle: symmetric surfaces have edges exactly there, which would count twice or not at all.
+    # Slightly off x, y: a symmetric surface has edges exactly there, which count twice or not at all
     d = np.array([x, y]) + np.array([1.0, 0.7]) * 1e-6 * float(np.ptp(points[:, 0])) - a[:, :2]
     steep = np.abs(area) < 1e-12 * size
     safe = np.where(steep, 1.0, area)

@@ -1,7 +1,6 @@
-"""What the page shows in 3D: particle and target, whole or cut open, at many times, small enough for one file.
+"""The 3D view of the page: particle and target, whole or cut open, at several times, compact enough for one file.
 
-All numbers go as little-endian integers of 16 bits in base64: positions as steps through a box round all that is
-shown, values as steps through their range.
+Numbers are little-endian 16-bit integers in base64: positions relative to the box of the view, values relative to their range.
 """
 
 import base64
@@ -22,8 +21,8 @@ from .fields import FIELDS, at_nodes, from_points
 from .picture import MICRO, Range, Stage, read, surfaces_cut, view
 
 FRAMES = 26  # of the time slider, at most
-VERTICES = 2500  # of the particle's surface: more are merged
-CUT_STEPS = 28  # triangles along the longer side of the particle's cut
+VERTICES = 2500  # of the surface of the particle: more are merged
+CUT_STEPS = 28  # triangles along the longer side of the cross-section of the particle
 TOP = 2**16 - 1
 
 # One mesh: points (n, 3) um, triangles (m, 3), name -> values (n,) in the units of FIELDS.
@@ -31,18 +30,17 @@ Mesh = tuple[NDArray, NDArray, dict[str, NDArray]]
 
 
 def frames(count: int) -> list[int]:
-    """Indices of the stored steps that the slider shows: all, or FRAMES of them evenly spread from first to last."""
+    """Indices of the stored steps for the time slider: all, or FRAMES of them, evenly distributed."""
     return sorted({round(step) for step in np.linspace(0, count - 1, min(count, FRAMES))})
 
 
 def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at: Stage) -> dict[str, object]:
-    """The 3D view as plain data for JSON. steps: stored ones to show. ranges: ends of the colours of each field.
+    """The 3D view as data for JSON. steps: stored steps to show; ranges: colour scale of each field; at: plane of the cross-section.
 
-    `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cut (um);
-    `lowest`: a little below all that the particle reaches (um); `fields`: what to choose from, its colours
-    and its range; `triangles`: index triplets that frames share; `frames`: at each time the meshes "target",
-    "particle", "target cut" and "particle cut", each with the number of its triangles, its points (in a box three times
-    as large about the same middle) and values, and `lines`, x and z (um) of what outlines the cut.
+    `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: below the particle at all times (um);
+    `fields`: the fields with colours and ranges; `triangles`: sets of index triplets, which frames share; `frames`: for each time
+    the meshes "target", "particle", "target cut" and "particle cut", each with the index of its set of triangles, its points (in a
+    box three times as large, with the same centre) and values; and `lines`: x and z (um) of the outlines of the cross-section.
     """
     seen = view(result, steps, at)
     box = _box([result.fields(step, "surface").points * MICRO for step in steps], seen[3], at)
@@ -80,14 +78,14 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
 
 
 def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[NDArray, NDArray]:
-    """Vertices (k,) to keep of a surface and triangles (j, 3) between them (as indices into these k). points: (n, 3). triangles: (m,
-    3). Vertices in one cube of a grid are merged into the one nearest to their mean; the grid is as fine as `most` vertices allow. A
-    surface that is small enough stays as it is."""
+    """A coarser surface with at most `most` vertices: indices (k,) of its vertices in points (n, 3), and triangles (j, 3) as
+    indices into these k. triangles: (m, 3). Vertices in one cell of a cubic grid are merged into the vertex nearest to their mean.
+    A surface with few vertices stays unchanged."""
     if len(points) <= most:
         return np.arange(len(points)), triangles
     size = float(np.ptp(points, axis=0).max())
     places = (points - points.min(0)) / size
-    fine, coarse = 1.0, 1e4  # cubes along the longer side: so few are too few, so many too many
+    fine, coarse = 1.0, 1e4  # bounds of the number of cells along the longer side
     for _ in range(30):
         middle = np.sqrt(fine * coarse)
         few = len(np.unique(np.floor(places * middle).astype(int), axis=0)) <= most
@@ -104,7 +102,7 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
 
 
 def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
-    """Low and high corner (2, 3), um, of what is shown: the particle up to the height `top` at all times, and the target near it."""
+    """Lower and upper corner (2, 3) of the view, um: the particle at all times, up to the height `top`, and the target near it."""
     skins = [below for skin in skins if len(below := skin[skin[:, 2] < top])]
     low, high = (np.array([end(skin, axis=0) for skin in skins]) for end in (np.min, np.max))
     plane, D = at.plane * MICRO, at.diameter
@@ -115,13 +113,13 @@ def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
 
 
 def _reaches_into(corners: NDArray, box: NDArray) -> NDArray:
-    """Whether each of the polygons (q, k, 2 or 3) reaches into the box; of two coordinates these are x and z."""
+    """Mask (q,) of the polygons (q, k, 2 or 3) that overlap the box (2, 3); two coordinates are x and z."""
     low, high = (box if corners.shape[-1] == 3 else box[:, [0, 2]])[:, None]
     return ((corners.max(1) > low) & (corners.min(1) < high)).all(1)
 
 
 def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: NDArray) -> Mesh:
-    """The target's surface near the impact."""
+    """The surface of the target near the impact."""
     used, triangles = np.unique(skin[_reaches_into(points[skin], box)], return_inverse=True)
     return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
 
@@ -150,7 +148,7 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
 
 
 def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
-    """The section of the particle in triangles: between its outline and a grid of points inside, without hollows."""
+    """The cross-section of the particle as triangles between its outline and a grid of points inside, without voids."""
     if not loops:
         return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
 
@@ -174,7 +172,7 @@ def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDA
 
 
 def _upright(places: NDArray, at: Stage) -> NDArray:
-    """x and z (um) in the plane of the cut, as points in space."""
+    """Points (n, 3), um, from their x and z (n, 2) in the plane of the cross-section."""
     return np.stack([places[:, 0], np.full(len(places), at.plane * MICRO), places[:, 1]], axis=1)
 
 
@@ -193,7 +191,7 @@ def _frame(
     frame: dict[str, object] = {"lines": [np.round(line, 2).ravel().tolist() for line in lines]}
     for kind, (points, corners, values) in meshes.items():
         of = {name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()}
-        # a box as large again on every side, for triangles that only reach into the one that is shown
+        # in a box three times as large, because triangles that overlap the view extend beyond it
         places = _packed((points - box[0] + span) / (3 * span) * TOP)
         frame[kind] = {
             "triangles": triangles.setdefault(_packed(corners), len(triangles)),

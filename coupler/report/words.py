@@ -1,4 +1,4 @@
-"""The summary in words, units and an order that people read: one source for terminal, page and comparison."""
+"""The summary as text with labels and display units: one source for terminal, page and comparison."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,8 +24,8 @@ from ..measures import (
     measure,
 )
 
-NAMED = 3  # numbers that a title names
-MOST_VERDICTS = 6  # particles whose verdicts stand in a line each
+NAMED = 3  # most numbers that a title lists
+MOST_VERDICTS = 6  # most particles with a line each for their verdicts
 KEYS = (
     *CONVERGING, "numerical_dissipation", "energy_drift", "deposition_efficiency", "deposition_efficiency_range", "wall_s",
 )  # fmt: skip
@@ -41,7 +41,7 @@ Block = Mapping[str, object]  # measures of one impact or run at one time
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table of measures. cells: the value in each block, "" where it has none."""
+    """A line of a table of measures. cells: value in each block, "" for a block without it."""
 
     key: str
     label: str
@@ -50,7 +50,7 @@ class Line:
 
 
 def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = None) -> dict[str, list[Line]]:
-    """The measures of several blocks side by side: group -> lines, both in reading order. errors: of the last block, as `errors_of`."""
+    """The measures of several blocks side by side: group -> lines. errors: of the last block (`errors_of`)."""
     groups: dict[str, list[Line]] = {group: [] for group in GROUPS}
     for key in dict.fromkeys(key for block in blocks for key in block):
         record, last = measure(key), (errors or {}).get(key)
@@ -61,8 +61,8 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """Heading -> values: the greatest deformation of the last impact, and its end with all else of it and of the run. Lists of words,
-    tables and lists of tables are left out."""
+    """Heading -> values: the last impact at its greatest deformation, and at its end with all other values of impact and run
+    (`plain`)."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
@@ -70,8 +70,8 @@ def columns(summary: Summary) -> dict[str, Block]:
 
 
 def plain(values: Block) -> Block:
-    """The values that fit into a table of measures: without lists of words, tables and lists of tables. A particle that sticks has no
-    rebound velocity, and no line of it."""
+    """The values that fit into a table of measures: without texts of the verdict, tables and lists of tables; without the rebound
+    velocity of a particle that sticks."""
     hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
     first = {k: next(iter(value), {}) if isinstance(value, list) else value for k, value in values.items()}
     return {
@@ -80,7 +80,7 @@ def plain(values: Block) -> Block:
 
 
 def shown(key: str, value: object, error: float | None = None) -> str:
-    """A value of the summary in the unit of its label, with its error where there is one: "0.566 ± 0.012"."""
+    """A value of the summary in its display unit, with its error (SI) if given: "0.566 ± 0.012"."""
     factor = measure(key).factor
     if value is None:
         return "-"
@@ -94,21 +94,23 @@ def shown(key: str, value: object, error: float | None = None) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """Value and error to the digits that the error leaves of the value: two of its own."""
-    if not (error > 1e-9 * abs(value) and math.isfinite(error) and math.isfinite(value)):  # rounding is none
+    """Value and error as text, rounded to two significant digits of the error."""
+    if not (
+        error > 1e-9 * abs(value) and math.isfinite(error) and math.isfinite(value)
+    ):  # rounding errors do not count
         return f"{value:.4g}"
     digits = min(max(1 - math.floor(math.log10(error)), 0), 12)
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 def errors_of(summary: Summary, i: int = -1) -> dict[str, float]:
-    """Key -> error of the measure at the end of impact i, in the key's own unit."""
+    """Measure -> its error at the end of impact i, SI."""
     entries = (summary["impacts"][i].get("errors") if summary else None) or {}
     return {key: float(entry["half_width"]) for key, entry in entries.items()}
 
 
 def error_note(summary: Summary) -> str:
-    """Text on how the errors of a run are measured, or why there are none; "" if they were not asked for."""
+    """Text: how the errors of a run are measured, and which coarser runs failed; "" for a run without errors."""
     record = (summary["run"].get("error") if summary else None) or {}
     failed = [str(text) for text in record.get("failed", [])]
     points = [str(n) for n in record.get("points", [])]
@@ -119,14 +121,14 @@ def error_note(summary: Summary) -> str:
 
 
 def impacts(summary: Summary) -> list[Block]:
-    """The measures of each impact at its end, and all else of it, in order."""
+    """The values of each impact: measures at its end and all others (`plain`)."""
     return [plain(impact_values(summary, i)) for i in range(len(summary.get("impacts", [])))]
 
 
 def verdict(summary: Summary) -> list[str]:
-    """Lines with the verdict of a run; none without one. For one particle a line with the basis of the verdict. For several the number
-    that stick and those that have come off later; then a line for each, or beyond MOST_VERDICTS the number decided by each method, and
-    the closest margin."""
+    """Text lines with the verdict of a run; empty without one. One particle: the verdict and what decides it. Several: how many stick,
+    and how many come off later; then a line for each particle. For more than MOST_VERDICTS: how many verdicts each method decides, and
+    the smallest margin."""
     records = summary.get("impacts", [])
     counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
     if sum(counts.values()) == 0:
@@ -153,11 +155,11 @@ def verdict(summary: Summary) -> list[str]:
 _VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
           (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
 _BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "ties of the scene", BY_MOTION: "motion alone"}
-_WHOLE = 0.999  # share of its mass from which a splat has come off as a whole
+_WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
 
 
 def _with_reason(record: Block, of_several: bool = False) -> str:
-    """Verdict of a particle, what it rests on, its margin and what has bonded: "sticks: REASON; margin +12.3 m/s"."""
+    """Text: verdict of a particle, its reason, margin and bonded area: "sticks: REASON; margin +12.3 m/s"."""
     word = str(record.get("verdict"))
     text = _VERBS.get((word, True), word) if of_several else word
     if lost := _lost_share(record):
@@ -170,7 +172,7 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
 
 
 def _bonded(record: Block) -> str:
-    """The bonded area of an impact with computed bonds: "; bonded area 120 µm², 98.7 µm² at the end"."""
+    """Text: the bonded area of an impact with computed bonds, "; bonded area 120 µm², 98.7 µm² at the end"; "" without bonds."""
     first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
     if not isinstance(first, int | float):
         return ""
@@ -181,7 +183,7 @@ def _bonded(record: Block) -> str:
 
 
 def _lost_share(record: Block) -> float:
-    """Share of a particle's mass that has come off after its impact."""
+    """Share of the mass of a particle that comes off after its impact."""
     lost, whole = record.get("detached_mass_kg"), record.get("particle_mass_kg")
     if not isinstance(lost, int | float):
         return 0.0
@@ -189,7 +191,7 @@ def _lost_share(record: Block) -> float:
 
 
 def _come_off(records: Sequence[Block]) -> list[str]:
-    """Which particles have come off after their impact, as a whole or in part."""
+    """Texts: which particles come off after their impact, completely or in part."""
     shares = {number: share for number, record in enumerate(records, 1) if (share := _lost_share(record))}
     whole = [number for number, share in shares.items() if share >= _WHOLE]
     stuck = [number for number in whole if records[number - 1].get("verdict") == STICKS]
@@ -203,7 +205,7 @@ def _come_off(records: Sequence[Block]) -> list[str]:
 
 
 def _decided_by(records: Sequence[Block]) -> list[str]:
-    """Line with the number of verdicts decided by each method; none if the records do not name it."""
+    """Text line: how many verdicts each method decides; empty if the records do not give the method."""
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
     texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
@@ -212,7 +214,7 @@ def _decided_by(records: Sequence[Block]) -> list[str]:
 
 
 def _closest(records: Sequence[Block]) -> list[str]:
-    """The particle whose margin is the least, in a line."""
+    """Text line: the particle with the smallest margin; empty without margins."""
     decided = [k for k, record in enumerate(records) if record.get("verdict") != UNDECIDED]
     margins = {k: abs(margin) for k in decided if isinstance(margin := records[k].get("margin_m_s"), int | float)}
     k = min(margins, key=margins.__getitem__, default=None)
@@ -220,7 +222,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
 
 
 def alerts(summary: Summary) -> list[str]:
-    """The warnings that make a result doubtful as a whole: they stand first in the run's, and before its numbers."""
+    """The warning that makes the whole result doubtful (the first of the run): numerical dissipation above DISSIPATION_LIMIT."""
     warnings = summary["run"].get("warnings") if summary else None
     shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
     doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)
@@ -228,14 +230,15 @@ def alerts(summary: Summary) -> list[str]:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """The measures that have no value, each with the reason, and the meaning of unusual values; impacts of one remark share it."""
+    """Text lines: measures without a value with the reason, and the meaning of unusual values. Equal lines of several impacts are
+    merged."""
     records = summary.get("impacts", [])
     lines: dict[str, list[int]] = {}  # text -> impacts
     for number, impact in enumerate(records, 1):
         reasons: dict[str, list[str]] = {}
         for path, reason in (impact.get("refused") or {}).items():
             if path in ("rebound_velocity_m_s", "restitution") and impact.get("rebounded") is False:
-                continue  # the verdict says it
+                continue  # the verdict implies it
             reasons.setdefault(str(reason), []).append(_label(str(path)))
         for reason, names in reasons.items():
             of_end = {_label(f"end.{key}") for key in impact["end"] if key != "time_s"}
@@ -243,7 +246,7 @@ def remarks(summary: Summary) -> list[str]:
                 names = [_label("end"), *(name for name in names if name not in of_end)]
             verb = "are" if len(names) > 1 or names[0].startswith("all") else "is"
             lines.setdefault(f"{', '.join(names)} {verb} undefined: {reason}", []).append(number)
-        said: set[str] = set()  # of the end: what was so at the greatest deformation, too, is said once
+        said: set[str] = set()  # a remark that holds at the end and at the greatest deformation appears once
         for block, moment in reversed(_BLOCKS.items()):
             for key, value in (impact.get(block) or {}).items():
                 remark = measure(key).remark(value) if isinstance(value, int | float) else None
@@ -255,7 +258,7 @@ def remarks(summary: Summary) -> list[str]:
 
 
 def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
-    """Numbers in ascending order with what they count: [1, 2, 3, 5] is "particles 1 to 3, 5"."""
+    """Ascending numbers as text: [1, 2, 3, 5] gives "particles 1 to 3, 5"."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:
@@ -267,7 +270,7 @@ def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
 
 
 def _label(path: str) -> str:
-    """The label of a key in an impact's record, with its block: "end.T_max_K" is "highest temperature at the end"."""
+    """The label of a key in the record of an impact: "end.T_max_K" gives "highest temperature at the end"."""
     if path in _BLOCKS:
         return f"all measures {_BLOCKS[path]}"
     block, _, key = path.rpartition(".")
@@ -275,7 +278,7 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Sizes, metals, velocities and angles of all particles, and the target; the folder's name without a plan."""
+    """Text: sizes, metals, velocities and angles of all particles, and the target; the name of the folder without a readable plan."""
     try:
         plan, velocities, angles = result.plan, [], []
         groups: dict[str, list[float]] = {}
@@ -298,7 +301,7 @@ _SHAPES = {"sphere": "", "hollow_sphere": "hollow sphere", "file": ""}
 
 
 def span(values: Sequence[float]) -> str:
-    """Positive numbers in a few characters, equal ones once: "500", "500, 546, 610" or "18.4 to 26.9"."""
+    """Positive numbers as short text without repetition: "500", "500, 546, 610" or "18.4 to 26.9"."""
 
     def text(value: float) -> str:
         return f"{value:.0f}" if value >= 100 or value < 1e-3 else f"{value:.3g}"
@@ -308,7 +311,8 @@ def span(values: Sequence[float]) -> str:
 
 
 def brief(summary: Summary, most: int | None = None, with_errors: bool = False) -> list[list[str]]:
-    """The main measures, the head first: of one impact a row for each measure, of several a row for each of the first `most`."""
+    """The main measures as rows of texts, the head first. One impact: a row for each measure. Several: a row for each of the first
+    `most` impacts."""
     if len(summary["impacts"]) == 1:
         groups = table_lines(list(columns(summary).values()), errors_of(summary))
         lines = [line for lines in groups.values() for line in lines if line.key in KEYS]
@@ -324,7 +328,7 @@ def brief(summary: Summary, most: int | None = None, with_errors: bool = False) 
 
 
 def of_run(summary: Summary) -> str:
-    """The main measures of a whole run of several impacts, in a line; "" of one impact."""
+    """Text line: the main measures of a whole run with several impacts; "" for one impact."""
     whole = plain(summary["run"]) if len(summary["impacts"]) > 1 else {}
     return ", ".join(
         f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip()
@@ -334,7 +338,7 @@ def of_run(summary: Summary) -> str:
 
 
 def fill_table(table: Table, groups: Mapping[str, Iterable[Line]]) -> None:
-    """Put lines of measures into a table of a terminal, each group under its heading."""
+    """Add lines of measures to a table for a terminal, each group under its heading."""
     for group, lines in groups.items():
         table.add_section()
         table.add_row(Text(group, style="bold"))
@@ -343,9 +347,8 @@ def fill_table(table: Table, groups: Mapping[str, Iterable[Line]]) -> None:
 
 
 def summary_table(result: Result) -> Table:
-    """The summary for a terminal, in units that people use, as a rich table. Of one impact its greatest deformation and its end stand
-    side by side, with all else in the last column. Of several impacts each has a column with its own end, and what belongs to the whole
-    run stands below."""
+    """The summary as a table for a terminal, in display units. One impact: a column for its greatest deformation, and one for its end
+    with all other values. Several: a column for each impact at its end, with the values of the whole run below."""
     summary = result.summary
     several = impacts(summary)
     blocks, errors = columns(summary), errors_of(summary)
@@ -366,6 +369,6 @@ def summary_table(result: Result) -> Table:
 
 
 def _particle_of(impact: Block) -> str:
-    """The particle of an impact, for the head of its column; its spaces do not break."""
+    """Diameter and material of the particle of an impact, for the head of its column, with non-breaking spaces; "" if unknown."""
     known = [shown(key, impact[key]) for key in ("diameter_m", "material") if impact.get(key) is not None]
     return "\u00a0µm\u00a0".join(known) if len(known) == 2 else ""

@@ -1,4 +1,4 @@
-"""Measures of a coating: thickness, roughness, porosity, and state of each layer, on a grid of upright columns (`Columns`)."""
+"""Measures of a coating: thickness, roughness, porosity on a grid of vertical columns (`Columns`); state of each layer; stress."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 from ..report.words import with_error
 
-DISC = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
-FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
-SECTORS = 8  # of the disc, for the error of a mean
+DISC = 0.6  # radius of the measured disc over the radius of the patch on which centres of particles fall
+FINEST = (
+    0.25  # splat element sizes: thinner voids cannot be distinguished from the gap between facets and a round surface
+)
+SECTORS = 8  # of the disc, for the standard error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 NO_SEEDS = "not measured: coldspray coating DIR --seeds 3 computes three other seeds"
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
@@ -32,13 +34,15 @@ NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses
 
 @dataclass(frozen=True)
 class Splats:
-    """The coating at the last written step, or cold after the closing stage (is_cold). mesh: substrate and splats;
-    body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came,
-    counted from 1, 0 for the substrate. last: surface of the last particle, still made of
-    points, (points (k,3) m, triangles), None if it has left; of each finished impact: mass (n,) kg, stayed (n,), the
-    share of it that is in the coating, metal (n,): its name; planned: impacts of the run, in so many layers; patch m: radius of the
-    disc that particles are aimed at; element_size m: of the splats; undecided: indices of the impacts that are counted as stayed
-    without a verdict."""
+    """A coating at a stored step, or cold after the closing stage (is_cold).
+
+    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact
+    from which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as
+    (points (k,3) m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the
+    coating; mass (n,) kg; metal (n,): name; planned: impacts of the run, in `layers` layers; patch: radius of the disc on which
+    centres of particles fall, m; element_size: of the splats, m; undecided: indices of impacts without a verdict, which count as
+    stayed.
+    """
 
     mesh: Fields
     body: NDArray[np.int64]
@@ -56,7 +60,7 @@ class Splats:
 
     @property
     def deposition_efficiency(self) -> float:
-        """Mass that stayed over the mass of all particles that have hit; undecided particles count as stayed."""
+        """Mass in the coating over the mass of all particles of finished impacts; undecided particles count as stayed."""
         return float(self.mass @ self.stayed / self.mass.sum())
 
     @property
@@ -67,19 +71,19 @@ class Splats:
 
 
 def read(result: Result, before: int | None = None) -> Splats:
-    """The coating that a run has built so far, finished or not; before: until the impact of this number begins. Raises StoreError where
-    the files do not name the body of each element."""
+    """The coating of a run so far, finished or not. before: the number of an impact; the coating is that at the start of this impact.
+    Raises StoreError if no impact is finished, or the files have no field for the body of each element."""
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
-        raise StoreError(f"{result.directory} has no impact yet: nothing to measure")
+        raise StoreError(f"{result.directory} has no impact yet: measure it later")
     done = before or int(numbers.max())
     is_cold = before is None and len(result.times(COLD)) > 0
     step = -1 if before is None else first_step(result, before)
     mesh = result.fields(step, COLD if is_cold else "target")
     if "impact" not in mesh.data:
         raise StoreError(
-            f"{result.directory} has no field that names the splat of each tetrahedron: run the scene again with this version"
+            f"{result.directory} has no field 'impact' for its elements: run the scene again with this version"
         )
     body, came = mesh.data["body"].astype(np.int64), mesh.data["impact"].astype(np.int64)
     impact = np.zeros(int(body.max()) + 1, np.int64)
@@ -92,8 +96,8 @@ def read(result: Result, before: int | None = None) -> Splats:
         surface = result.fields(-1, "surface")
         last = None if left[-1] else (surface.points, surface.cells)
     elif not left:
-        raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
-    impacts = plan.impacts[: len(left)]  # one that is still falling, or undecided, is not counted
+        raise StoreError(f"{result.directory}: no impact is finished yet: measure it later")
+    impacts = plan.impacts[: len(left)]  # without a last one that is unfinished or undecided
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
     metal = np.array([p.material.name for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
@@ -109,11 +113,11 @@ def read(result: Result, before: int | None = None) -> Splats:
 
 
 class Columns:
-    """Upright columns over a disc of `radius` m about `centre`, `step` m apart, of cells `step` high from z = low on. Where a column
-    passes through matter follows from where it crosses the closed surfaces of the bodies.
+    """Vertical columns of cells over a disc: radius m, `step` m apart; cells are `step` m high and begin at z = low.
 
-    matter (k, layers): which cells lie in the substrate or a splat; splat, substrate: in one of these; double: in more than one of all.
-    x, y (k,) m. A cell is in a body where its middle is.
+    A cell is inside a body if its middle is; this follows from the points at which the column crosses the closed surfaces of the
+    bodies. Masks (k, layers): splat, substrate: cells inside a splat or the substrate; matter: inside one of them; double: inside a
+    splat and another body. x, y (k,): positions of the columns, m.
     """
 
     def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
@@ -148,11 +152,11 @@ class Columns:
         self.x, self.y = grid[self.inside].T
 
     def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
-        """Note where columns enter (+1) and leave (-1) a closed surface of triangles that turn outwards."""
-        h, aside = self.step, (0.5011, 0.5007)  # so that no column runs along an edge, which two triangles share
+        """Add to `count` +1 where a column enters and -1 where it leaves a closed surface with outward triangles."""
+        h, aside = self.step, (0.5011, 0.5007)  # so that no column meets an edge, which two triangles share
         corners = points[faces][..., :2]
         low, high = (extreme(axis=(0, 1)) for extreme in (corners.min, corners.max))
-        # those that may pass through the body, and one more on each side
+        # columns that may pass through the body, and one more on each side
         first, stop = ((ends - self._origin) / h - aside for ends in (low, high))
         first, stop = (np.clip(ends, 0, self._side).astype(int) for ends in (np.floor(first), np.ceil(stop) + 1))
         if (first >= stop).any():
@@ -161,17 +165,18 @@ class Columns:
         x, y = ((axis + part) * h + start for axis, part, start in zip((i, j), aside, self._origin, strict=True))
         column, z, face = RaySurface(points, faces, closed=False).on_verticals(x, y)
         k = np.ceil((z - self.low) / h - 0.5).astype(int).clip(0, self.layers)
-        downward = area_vectors(points, faces)[face, 2] < 0.0  # is entered
+        downward = area_vectors(points, faces)[face, 2] < 0.0  # the column enters here
         np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
 
     def highest(self, cells: NDArray) -> NDArray:
-        """Height (k,) m of the highest of some cells (k, layers) in each column: of matter the top, of the substrate the interface."""
+        """Height (k,) m of the top of the highest marked cell in each column, `low` without one. cells (k, layers): mask. For `matter`
+        this is the surface, for `substrate` the interface."""
         last = self.layers - np.argmax(cells[:, ::-1], axis=1)
         return np.where(cells.any(axis=1), self.low + last * self.step, self.low)
 
     def voids(self, thinnest: float) -> tuple[NDArray, NDArray]:
-        """Cells (k, layers) without matter below each column's top: (open, closed); closed are those that no way through cells without
-        matter joins to the outside. Voids lower than `thinnest` m are taken for matter."""
+        """Masks (k, layers) of empty cells below the top of their column: (open, closed). Closed: not connected to the outside through
+        empty cells. Voids with a height below `thinnest` m count as matter."""
         span = max(round(thinnest / self.step), 0)
         whole = np.zeros((self._side, self._side, self.layers), bool)
         whole[self.inside] = self.matter
@@ -182,7 +187,7 @@ class Columns:
         below = np.cumsum(whole[..., ::-1], axis=-1)[..., ::-1] > 0
         below &= self.inside[..., None]
         empty = ~whole
-        # the outside: above the tops; the disc's rim is no outside, or half of what touches it would count as open
+        # outside: above the tops. The rim of the disc does not count, or half of the voids at the rim would be open.
         label, _ = ndimage.label(empty & self.inside[..., None])
         outer = np.unique(label[empty & ~below & self.inside[..., None]])
         outside = np.isin(label, outer[outer > 0])
@@ -191,15 +196,16 @@ class Columns:
 
 
 def roughness(z: NDArray) -> tuple[float, float]:
-    """Sa and Sq, m, of heights z (k,) on an even grid: mean and root mean square of their distance from the mean (ISO 25178-2), which
-    is a plane parallel to the substrate: one fitted to a disc of a few splats would take the largest of their steps away."""
+    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean
+    height. The reference plane is parallel to the substrate; a plane fitted to a disc of a few splats would remove their largest
+    steps."""
     away = z - z.mean()
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))
 
 
 @dataclass(frozen=True)
 class SeedError:
-    """A measure over several seeds, SI: mean, standard error of the mean, least and greatest value."""
+    """A measure over several seeds, SI. error: standard error of the mean; least, greatest: values."""
 
     seeds: int
     mean: float
@@ -208,23 +214,24 @@ class SeedError:
     greatest: float
 
     def words(self, factor: float, unit: str) -> str:
-        """The error in a unit: "; 4 seeds: 40.8 ± 0.6 µm, 39.5 to 42.1"."""
+        """Text such as "; 4 seeds: 40.8 ± 0.6 µm, 39.5 to 42.1". factor: from SI to the unit."""
         ends = " to ".join(f"{factor * end:.3g}" for end in (self.least, self.greatest))
         return f"; {self.seeds} seeds: {with_error(factor * self.mean, factor * self.error)}{unit}, {ends}"
 
 
 @dataclass(frozen=True)
 class CoatingMeasures:
-    """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; undecided: impacts with that verdict,
-    which count as stayed in deposition_efficiency and as lost in least_efficiency; thickness: height of the coating above the old
-    surface of the substrate, z = 0, so that metal inside craters does not count, 0 where there is none; height_mean_m: mean height
-    of the surface, craters included, as a profilometer steps from the old surface; bare_share: share of the disc
-    without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
-    that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
-    the coating's volume in the disc of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
-    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth, phases: rows of `per_layer`, `over_depth`,
-    `phases`;
-    seeds: measure -> its error, where other seeds are computed (`coating_seeds`)."""
+    """Measures of a coating, SI; the keys of coating.json.
+
+    impacts, of: finished and planned impacts. undecided: they count as stayed in deposition_efficiency, as lost in least_efficiency.
+    thickness: height of the coating above the original surface of the substrate, z = 0; metal in craters below does not count; 0
+    without coating. height_mean_m: mean height of the surface with craters, as a profilometer measures it. bare_share: share of the
+    disc without coating. overlap_share: share of the volume of the coating that lies in more than one body; the porosity is too high
+    by up to this share, because this metal is missing elsewhere. void_limit_m: voids of a lower height are not resolved.
+    stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating in the disc, the residual stress once cold, with its
+    standard error (`in_plane`). thermal_in_plane_Pa: the part of it from changes of temperature. layers, depth, phases: rows of
+    `per_layer`, `over_depth` and `phases`. seeds: measure -> its error, if other seeds are computed (`coating_seeds`).
+    """
 
     impacts: int
     of: int
@@ -256,9 +263,9 @@ class CoatingMeasures:
 
 
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """All measures of a coating. radius: of the disc, m; DISC of the patch's by default. Raises StoreError where there is none."""
+    """All measures of a coating. radius: of the measured disc, m; default: `disc_radius`. Raises StoreError without a coating."""
     if not splats.stayed.any():
-        raise StoreError("no particle has stayed on the target: there is no coating to measure")
+        raise StoreError("no particle has stayed on the target: there is no coating to measure; give a run with splats")
     size, planned = splats.element_size, splats.planned
     radius = radius or disc_radius(splats)
     finished = len(splats.mass)
@@ -282,7 +289,7 @@ def disc_radius(splats: Splats) -> float:
 
 
 def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
-    """Thickness, heights, roughness, m, and the shares of voids and overlap in a disc of `radius` m, from columns `step` m apart."""
+    """Thickness, heights and roughness (m), shares of voids and overlap, in a disc of `radius` m from columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
     top = columns.highest(columns.matter)
     is_bare = columns.highest(columns.substrate) > top - step
@@ -299,11 +306,12 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
 
 
 def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
-    """Mean over the coating's volume in the disc of (xx + yy) / 2 of a stress, Pa, and its standard error; 0 where the mesh has none.
+    """Mean of (xx + yy) / 2 of a stress field over the volume of the coating in the disc, Pa, and its standard error.
 
-    radius m. The error is that from place to place: of a mean with the volumes as weights, with each of SECTORS sectors of the disc
-    left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed., section 6.17). A sector holds all
-    layers, whose stresses differ by more than chance. None where the coating fills fewer than two.
+    radius: of the disc, m; name: of the field; the mean is 0 without this field. The error describes the variation over the disc:
+    each of SECTORS sectors is left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed.,
+    section 6.17). A sector contains all layers, because their stresses differ systematically. None if fewer than two sectors
+    contain coating.
     """
     mesh = splats.mesh
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
@@ -323,14 +331,14 @@ def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | N
 
 
 def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
-    """The measures of a coating in words: label and value with its unit, for the terminal and the page."""
+    """The measures of a coating as (label, text with units), for terminal and page."""
     um = {name: f"{1e6 * value:.1f} µm" for name, value in vars(measures).items() if name.endswith("_m")}
     count, left = measures.impacts, measures.rebounded
     stay, least = (f"{count - left} of {count}" if left else f"all {count}") + " particles stay", ""
     if measures.undecided:
         stay += f", {measures.undecided} of these are undecided"
         least = f"{measures.least_efficiency:.1%} to "
-    is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
+    is_cold = NOT_COLD not in measures.warnings  # else the stress from cooling is unknown
     error = "" if measures.stress_error_Pa is None else f" ± {1e-6 * measures.stress_error_Pa:.0f}"
     stress, thermal = 1e-6 * measures.stress_in_plane_Pa, 1e-6 * measures.thermal_in_plane_Pa
 
@@ -367,8 +375,8 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
 
 
 def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
-    """Shares of each metal: of the mass that is fed and that stays, of the volume of the coating in a disc of `radius` m; efficiency:
-    the mass of the metal that stays over the mass that is fed. The last particle, still made of points, has no volume here."""
+    """Shares of each metal: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m;
+    efficiency: its mass in the coating over its fed mass. The last particle, which consists of points, has no volume here."""
     mesh, stays = splats.mesh, splats.mass * splats.stayed
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
     own = (np.hypot(x, y) <= radius) & (splats.body > 0)
@@ -388,8 +396,8 @@ def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
-    """Strain, temperature and stress of the substrate (layer 0: what yielded of it) and of each layer of `each` particles, over volume.
-    The last particle, still made of points, is in none of them."""
+    """Volume-weighted mean, 99th percentile and maximum of strain, temperature and stress in each layer of `each` particles. Layer 0 is
+    the yielded part of the substrate. The last particle, which consists of points, is left out."""
     volume, data = np.abs(volumes(splats.mesh.points, splats.mesh.cells)), splats.mesh.data
     layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
     rows = []
@@ -409,16 +417,16 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
 
 
 def _percentiles(values: NDArray, weights: NDArray, shares: ArrayLike) -> NDArray:
-    """The values (k,) below which these shares of their weights (k,) lie."""
+    """Weighted quantiles of `values` (n,) with `weights` (n,) at `shares` (k,)."""
     return np.asarray(np.quantile(values, np.asarray(shares, float), weights=weights, method="inverted_cdf"))
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
-    """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the disc, from the top down.
+    """Volume means of stress (Pa), strain and temperature in horizontal slices of the disc, `step` m high, from the top down.
 
-    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. thermal_xx and so on: the part due to
-    changes of temperature, for a cold coating; the rest is due to the impacts. sigma_p5, sigma_p95: of (xx + yy) / 2. coating:
-    share of splats in the slice's matter.
+    sigma_xx, sigma_yy are in the plane of the surface, sigma_zz is normal to it; tension is positive. thermal_xx etc.: the part from
+    changes of temperature, of a cold coating; the impacts cause the rest. sigma_p5, sigma_p95: quantiles of (xx + yy) / 2. coating:
+    volume share of splats in the slice.
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius

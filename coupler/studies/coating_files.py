@@ -1,4 +1,4 @@
-"""What is written of a coating: measures, the profile over depth, a picture of the cut, and its splats as meshes."""
+"""Output files of a coating: measures, profile over depth, pictures of a cross-section, and the splats as meshes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
 def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
-    """coating.json, all of it, and coating_depth.csv, means over slices of the depth; SI. Raises StoreError."""
+    """Write coating.json, all measures, and coating_depth.csv, means over slices of the depth; SI. Returns the paths. Raises
+    StoreError."""
     paths = [folder / "coating.json", folder / "coating_depth.csv"]
     write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
     write_text(paths[0], json.dumps(asdict(measures), indent=2) + "\n")
@@ -44,15 +45,15 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
 
 
 def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
-    """coating_growth.csv and growth.png: the coating after each impact. Raises StoreError."""
+    """Write coating_growth.csv and growth.png, the coating after each impact. Returns the paths. Raises StoreError."""
     write_rows(folder / "coating_growth.csv", list(rows[0]), rows)
     return [folder / "coating_growth.csv", draw(rows, folder / "growth.png")]
 
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
-    """The cut at y = plane (m) by strain, temperature and stress, as a PNG. radius: of what is shown, m. A cold coating is drawn by
-    strain, von Mises and in-plane stress; else the last particle is drawn where the cut meets it. Raises StoreError where there is
-    nothing to draw."""
+    """Draw the cross-section at y = plane (m) as PNG, `radius` m about the axis. Returns the path. A cold coating is coloured by
+    strain, von Mises and in-plane stress; else by strain, temperature and stress, with the last particle. Raises StoreError without
+    a stored step."""
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(splats, radius)), heading), path)
         return path
@@ -65,7 +66,7 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
 
 
 def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
-    """Extent of the shown section, um, radius m about the axis: left, right, bottom, top; the deepest splat is inside."""
+    """Extent of the picture, um: left, right, bottom, top. It shows `radius` m about the axis, down to below the deepest splat."""
     mesh, across = splats.mesh, radius * MICRO
     is_near = np.hypot(*mesh.points[:, :2].T) < radius
     of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.body > 0])
@@ -75,15 +76,16 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
 
 
 def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
-    """Impact, points and faces of the surface of each body, the substrate first."""
+    """(impact, points, triangles) of the surface of each body, the substrate first."""
     cells = [splats.mesh.cells[splats.body == b] for b in range(len(splats.impact))]
     skins = [(int(n), splats.mesh.points, boundary_faces(own)[0]) for n, own in zip(splats.impact, cells, strict=True)]
     return [*skins, *([(len(splats.mass), *splats.last)] if splats.last is not None else [])]
 
 
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
-    """The section at y = plane (m) as an etched one under a microscope: boundaries of splats dark, that of the substrate thick, pores
-    black, and blue (the mount) what is open to the outside in this plane; metals of a blend in colours. radius m: shown."""
+    """Draw the cross-section at y = plane (m) like an etched one under a microscope, as PNG. Returns the path. Boundaries of splats are
+    dark, the boundary of the substrate is thick, closed pores are black; blue areas are open to the outside in this plane; metals of a
+    blend have colours. radius: shown about the axis, m."""
     seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
@@ -119,7 +121,8 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
 
 
 def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
-    """In-plane stress over height: mean, 5 to 95 % of the volume, and the part that changes of temperature have made."""
+    """Draw the in-plane stress over height as PNG: mean, 5 to 95 % of the volume, and the parts from cooling and from impacts. Returns
+    the path."""
     rows = measures.depth
     z, mean, low, high = (np.array(column) for column in zip(*(
         (row["z_m"] * MICRO, 0.5e-6 * (row["sigma_xx"] + row["sigma_yy"]), 1e-6 * row["sigma_p5"], 1e-6 * row["sigma_p95"])
@@ -143,9 +146,9 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
-    """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body, impact and metal of each
-    tetrahedron and its fields (0: the substrate; metals in the order of their first impacts), and splats/splat_NNN.stl, the closed
-    surface of each, numbered by impact. Lengths in m. Raises StoreError."""
+    """Write the coating for homogenisation. Returns the paths. coating.vtu: mesh of substrate and splats with body, impact, metal
+    (0: substrate; metals in the order of their first impacts) and fields of each tetrahedron; splats/splat_NNN.stl: closed surface
+    of each splat, NNN: its impact. Lengths in m. Raises StoreError."""
     inner = folder / "splats"
     cells = splats.mesh.cells
     data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}

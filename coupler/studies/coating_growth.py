@@ -1,4 +1,4 @@
-"""How a coating grows: its thickness, roughness and porosity after each impact, from the stored steps of a run, finished or not."""
+"""Growth of a coating: thickness, roughness and porosity after each impact, from the stored steps of a run, finished or not."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..files.result import Result
 from ..report.picture import MICRO, blank, save
 from .coating import COLUMN, Splats, disc_radius, read, shape
 
-COARSE = 2.0  # times the distance of the columns: a curve needs less than the final figures
-MOST = 60  # rows
+COARSE = 2.0  # distance of the columns over their distance for the final measures
+MOST = 60  # rows of the table
 Row = dict[str, float]
 
 
 def growth(result: Result, radius: float | None = None) -> list[Row]:
-    """A row for each finished impact, of many for MOST of them (see `row`), on one disc for all: radius m, by default that of the
-    coating."""
+    """A row (see `row`) for each finished impact, for at most MOST of them. radius: of the disc that is measured, m; default: the disc
+    of the coating."""
     built = read(result)
     radius = radius or disc_radius(built)
     finished = len(built.mass)
@@ -28,16 +28,17 @@ def growth(result: Result, radius: float | None = None) -> list[Row]:
 
 
 def latest(result: Result) -> Row:
-    """The row of the impacts that are finished so far. Raises StoreError where there is none."""
+    """The row of the impacts that are finished so far. Raises StoreError if no impact is finished."""
     number = int(result.history("impact").max(initial=0.0))
     if number < 2:
-        raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
+        raise StoreError(f"{result.directory}: no impact is finished yet: measure it later")
     built = read(result, number)
     return row(built, disc_radius(built))
 
 
 def row(built: Splats, radius: float) -> Row:
-    """impacts: so many are finished; splats: that are in the coating; deposition_efficiency; the measures of `coating.shape`."""
+    """impacts: number of finished impacts; splats: number of splats in the coating; deposition_efficiency; measures of
+    `coating.shape`."""
     counts = {"impacts": len(built.mass), "splats": float(np.count_nonzero(built.stayed))}
     measures = shape(built, radius, COARSE * COLUMN * built.element_size)
     return {**counts, "deposition_efficiency": built.deposition_efficiency, **measures}
@@ -53,7 +54,7 @@ def line(now: Row) -> str:
 
 
 def draw(rows: list[Row], path: Path) -> Path:
-    """Thickness with its range and roughness, and porosity, over the number of impacts."""
+    """Draw thickness with its range, roughness and porosity over the number of impacts, as PNG. Returns the path."""
     impacts = [each["impacts"] for each in rows]
     um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
     share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}

@@ -1,4 +1,4 @@
-"""The error of a coating from seeds: the same coating of other particles from the same distributions, run beside it."""
+"""The error of a coating from seeds: coatings of other particles that are drawn from the same distributions."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from ..files.result import COLD, Result
 from ..plan.reading import Scene
 from .coating import CoatingMeasures, SeedError, Splats, lines, measure, read
 
-FOLDER = "seeds"  # of the runs, in that of the run
+FOLDER = "seeds"  # folder of these runs, in the folder of the run
 MEASURES = (
     "thickness_mean_m", "Sa_m", "Sq_m", "porosity_closed", "porosity_open", "deposition_efficiency", "stress_in_plane_Pa",
 )  # fmt: skip
 
 
 def other_seeds(scene: Scene, count: int) -> dict[str, str]:
-    """Name, such as "seed 8" -> the scene (TOML) with this seed; `count` of them after that of the scene. Raises StoreError for a scene
-    without a table [coating]."""
+    """Name, such as "seed 8" -> the scene (TOML) with this seed, for `count` seeds after the seed of the scene. Raises StoreError for a
+    scene without a table [coating]."""
     if scene.coating is None:
         raise StoreError(
             "--seeds: the scene of this run has no table [coating] and therefore no seed: leave --seeds out"
         )
     data = tomllib.loads(scene.to_toml())
-    del data["particle"]  # which the seed of the scene has made
+    del data["particle"]  # these particles come from the seed of the scene
     seeds = range(scene.coating.seed + 1, scene.coating.seed + 1 + count)
     return {
         f"seed {n}": Scene.from_dict({**data, "coating": {**data["coating"], "seed": n}}, scene.name).to_toml()
@@ -38,34 +38,34 @@ def other_seeds(scene: Scene, count: int) -> dict[str, str]:
 
 
 def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
-    """The error of each of MEASURES from coatings of several seeds; none of one coating."""
+    """Measure -> its error, for MEASURES, from coatings of several seeds; empty for one coating."""
     if len(coatings) < 2:
         return {}
     return {key: seed_error([getattr(each, key) for each in coatings]) for key in MEASURES}
 
 
 def seed_error(each: Sequence[float]) -> SeedError:
-    """A measure of several coatings, its values SI; the error of one is infinite."""
+    """The error of a measure from its values (SI) in several coatings; infinite for one value."""
     values = np.array(each)
     error = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
     return SeedError(len(values), float(values.mean()), error, float(values.min()), float(values.max()))
 
 
 def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """`coating.measure` of a run, with the errors from the finished seeds of the same scene in its folder. radius m: of the disc."""
+    """`coating.measure` of a run, with errors from the finished runs of other seeds in its folder. radius: of the disc, m."""
     own, runs = measure(splats, radius), sorted((result.directory / FOLDER).glob("*/summary.json"))
     others = [other for path in runs if _but_its_seed(other := Result(path.parent)) == _but_its_seed(result)]
     return replace(own, seeds=errors([own, *(measure(read(other), own.window_radius_m) for other in others)]))
 
 
 def _but_its_seed(result: Result) -> dict[str, object]:
-    """The scene of a run without the values that its seed determines."""
+    """The scene of a run without the values that depend on its seed."""
     data = parse_toml(result.scene_text)
     return {**data, "particle": None, "coating": {**data.get("coating", {}), "seed": None}}
 
 
 def lines_of(result: Result) -> list[tuple[str, str]]:
-    """The `lines` of a run, finished or not; none where no splat can be measured, or it is a single one that has not cooled."""
+    """`coating.lines` of a run, finished or not; empty if no splat can be measured, or for a single splat that is not cold."""
     if len(result.plan.get("impacts", [])) < 2 and not len(result.times(COLD)):
         return []
     try:

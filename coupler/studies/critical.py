@@ -1,6 +1,7 @@
-"""The critical velocity of a scene by runs at several velocities: bracketed between rebound and sticking, then halved.
+"""The critical velocity of a scene by runs at several velocities: a bracket between rebound and sticking, which is then halved.
 
-At the margin a verdict depends on where points and elements lie: the critical velocity is that at which half of the placements stick.
+Near the critical velocity a verdict depends on the positions of points and elements (the placement). The critical velocity is the
+velocity at which half of the placements stick.
 """
 
 import itertools
@@ -8,7 +9,7 @@ import math
 import re
 import time
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, stdev
@@ -22,19 +23,19 @@ from ..plan import refinement
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
-from .runs import how_ended, run_point, run_points
+from .runs import Log, how_ended, reason_of, run_point, run_points
 from .sweep import toml_text
 from .table import write_rows
 
-LOWEST, HIGHEST = 50.0, 1500.0  # m/s, limits of the search unless said
-STEP = 1.25  # ratio of velocities while there is no bracket
+LOWEST, HIGHEST = 50.0, 1500.0  # m/s, default limits of the search
+STEP = 1.25  # ratio of successive velocities while there is no bracket
 TABLE = "critical.csv"
 _NAME = re.compile(r"([\d.e+]+)ms(?:_(\d+))?")  # see `point_name`
-BELOW = 3  # steps below the start that are tried where the particle rebounds at all velocities above
+BELOW = 3  # steps that are tried below the first velocity if the particle rebounds at all higher velocities
 TOLERANCE = 0.05  # width of the bracket over its middle
-UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
+UNKNOWN_START = 600.0  # m/s, first velocity if no formula gives one
 BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
-# of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
+# Steps of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 _MEASURES = (
     "verdict_by_bonds", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
@@ -46,9 +47,9 @@ Row = Mapping[str, Any]  # COLUMNS of a run
 
 @dataclass(frozen=True)
 class Bracket:
-    """low, high: m/s, the highest velocity at which the particle rebounds and the lowest above it at which it sticks; None where the
-    runs show none; undecided: velocities between them without a verdict; shares: of the placements that stick, by velocity, where
-    there are several."""
+    """Velocities (m/s) between which the critical velocity lies. low: the highest at which the particle rebounds; high: the lowest
+    above `low` at which it sticks; None if no run shows it. undecided: velocities between them without a verdict. shares: velocity
+    -> share of the placements that stick, empty for a single placement."""
 
     low: float | None
     high: float | None
@@ -57,7 +58,7 @@ class Bracket:
 
     @property
     def velocity(self) -> float | None:
-        """The middle, m/s: the critical velocity."""
+        """The critical velocity, m/s: the middle of the bracket; None without a bracket."""
         return None if self.low is None or self.high is None else 0.5 * (self.low + self.high)
 
     @property
@@ -66,15 +67,15 @@ class Bracket:
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
     def halvings(self, tolerance: float) -> int:
-        """Number of halvings until the bracket's width over its middle is `tolerance`; 0 without a bracket."""
+        """Number of halvings after which the width of the bracket over its middle is `tolerance`; 0 without a bracket."""
         if self.velocity is None:
             return 0
         return max(math.ceil(math.log2(2.0 * self.half_width / (tolerance * self.velocity))), 0)
 
     @property
     def band(self) -> tuple[float | None, float | None]:
-        """Velocities (m/s) at which the shares of BAND stick, below and above the bracket or at its ends, by straight lines between
-        runs; None where no run shows it. Without shares the bracket."""
+        """Velocities (m/s) at which the shares of BAND stick, by linear interpolation between runs; at least as wide as the bracket.
+        None for an end that no run shows. Without shares: the bracket."""
         if self.low is None or self.high is None or not self.shares:
             return self.low, self.high
         below = _reached((v for v in sorted(self.shares, reverse=True) if v <= self.high), self.shares, BAND[0])
@@ -100,7 +101,8 @@ class Bracket:
 
 
 def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: float) -> float | None:
-    """Lowest velocity (m/s) at which the shares, joined by straight lines, reach `share`; None if they do not."""
+    """First velocity (m/s), in the order of `velocities`, at which the linearly interpolated shares reach `share`; None if none
+    does."""
     for v, w in itertools.pairwise(velocities):
         a, b = shares[v] - share, shares[w] - share
         if a * b <= 0.0 and a != b:
@@ -124,9 +126,12 @@ def bracket(verdicts: Mapping[float, str]) -> Bracket:
 def next_velocity(
     verdicts: Mapping[float, str], start: float, limits: tuple[float, float], tolerance: float
 ) -> float | None:
-    """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit has been reached. start:
-    the first one; limits: of the search, m/s; tolerance: width of the bracket over its middle. Between undecided runs the wider part of
-    the bracket is halved. A particle that rebounds up to the upper limit may stick at velocities below the first one."""
+    """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit is reached.
+
+    verdicts: velocity -> verdict; start: the first velocity, m/s; limits: of the search, m/s; tolerance: width of the bracket over its
+    middle. Undecided velocities divide the bracket; its widest part is halved. A particle that rebounds up to the upper limit may
+    stick at velocities below the first one.
+    """
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))
     found = bracket(verdicts)
@@ -140,7 +145,7 @@ def next_velocity(
         wanted = max(min(verdicts) / STEP, limits[0])
     elif max(verdicts) < limits[1]:  # it rebounds: go up
         wanted = min(max(verdicts) * STEP, limits[1])
-    else:  # at all velocities above: where it sticks below, go on to the rebound that ends this
+    else:  # it rebounds at all higher velocities: go down until it sticks, then until it rebounds again
         lowest = min(verdicts)
         if verdicts[lowest] != STICKS and lowest <= round(start / STEP**BELOW):
             return None
@@ -150,9 +155,9 @@ def next_velocity(
 
 
 def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
-    """The TOML of the scene with its particle at `velocity` m/s. placement: 0 as the scene has it; others have no meaning in physics:
-    they move the particle by up to half an element of the target in x and y, where the target is meshed anew about it, and turn the
-    points of a sphere by up to 45 degrees about y."""
+    """The scene (TOML) with its particle at `velocity` m/s. placement: 0 is the scene itself. Other placements change the numerics
+    alone: they move the particle by up to half an element in x and y, with a new mesh of the target, and turn the points of a sphere by
+    up to 45 degrees about y."""
     data = tomllib.loads(scene.to_toml())
     particle = data["particle"]
     particle["velocity"] = f"{velocity:.6g} m/s"
@@ -163,7 +168,7 @@ def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
         if scene.particle.shape == "sphere":
             particle["tilt"] = f"{45.0 * turn:.4g} deg"
     data.pop("name", None)
-    data.get("resolution", {}).pop("error", None)  # that of the critical velocity is asked for
+    data.get("resolution", {}).pop("error", None)  # the search measures the error of the critical velocity instead
     return toml_text(data)
 
 
@@ -171,19 +176,21 @@ def check(scene: Scene) -> None:
     """Raise SceneError unless the scene is one impact whose verdict follows from bonds computed in it."""
     problems = []
     if len(scene.particles) != 1:
-        problems.append(f"particle: a critical velocity is that of one impact; this scene has {len(scene.particles)}")
+        problems.append(
+            f"particle: a critical velocity belongs to one impact; this scene has {len(scene.particles)}: leave one"
+        )
     if scene.gas is not None:
-        problems.append("gas: remove this table; the study sets the velocity")
+        problems.append("gas: remove this table; the search sets the velocity")
     law = scene.derived.adhesion_law
     if not law.in_impact:
-        text = f"adhesion: no bond is computed with it ({law.words}), so that runs show no critical velocity"
+        text = f"adhesion: with this law ({law.words}) no bond is computed, and runs show no critical velocity"
         problems.append(f'{text}: give kind = "cohesive" and a criterion')
     if problems:
         raise SceneError(problems, scene.name)
 
 
 def verdict_words(found: Bracket, formula: PairFormula) -> str:
-    """The verdict of a scene over its velocity, from computed bonds and the formula: undecided between their critical velocities."""
+    """Text line: velocities at which both computed bonds and the formula give rebound, and at which both give sticking."""
     limits = list(formula.known.values()) if formula.critical is not None else []
     if found.low is None or found.high is None:
         return f"verdict: by the runs alone; {formula.words()}"
@@ -192,7 +199,7 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
 
 
 def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> str:
-    """The error of the scene's resolution, which is not in the band. coarser: points -> bracket of the same search with so many."""
+    """Text: the error from the resolution, which the band does not include. coarser: number of points -> bracket of the same search."""
     if coarser:
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
@@ -201,9 +208,9 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
-    """Error (m/s) of the critical velocity from the critical velocities of the same scene with fewer points (`refinement.error`), and
-    at least half the widest bracket, below which no error is visible; None with fewer than two critical velocities, or without the
-    scene's own. coarser: as in `resolution_words`."""
+    """Error (m/s) of the critical velocity, from the critical velocities of the same scene with fewer points (`refinement.error`); at
+    least half the width of the widest bracket. None if fewer than two critical velocities are known, or the one of the scene is not.
+    coarser: as in `resolution_words`."""
     brackets = {scene.derived.points: found} | dict(coarser)
     known = [(points ** (-1.0 / 3.0), each.velocity) for points, each in brackets.items() if each.velocity is not None]
     if found.velocity is None or len(known) < 2:
@@ -214,14 +221,15 @@ def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 def search(
     scene: Scene, folder: Path, limits: tuple[float, float] = (LOWEST, HIGHEST), tolerance: float = TOLERANCE,
-    log: Callable[[str], None] = print, repeat: int = 1, jobs: int = 1, about: str = "",
+    log: Log = print, repeat: int = 1, jobs: int = 1, about: str = "",
 ) -> tuple[Bracket, list[Row]]:  # fmt: skip
-    """Compute runs of the scene into folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
+    """Compute runs of the scene in folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
 
-    The rows are written to folder/critical.csv after each velocity, `about` above them; runs of the folder that have ended take part.
-    repeat: placements at each velocity, jobs: how many at a time. The verdict at a velocity is that of most of them; an undecided
-    run is continued once, for as long again, and counts as half if it stays so. log: told of each velocity. Raises SceneError for a
-    scene without computed bonds, StoreError when a run fails.
+    folder/critical.csv is written after each velocity, with `about` above its rows. Finished runs in the folder are used. limits (m/s),
+    tolerance: as of `next_velocity`. repeat: number of placements at each velocity; jobs: number of runs at the same time. The majority
+    of the placements decides the verdict at a velocity. An undecided run continues once, for the same time again; if it stays undecided
+    it counts as half a sticking one. log: receives a line for each velocity. Raises SceneError for a scene without computed bonds,
+    StoreError when a run fails.
     """
     check(scene)
     start, runs = plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
@@ -238,7 +246,7 @@ def search(
         except StoreError as error:
             if not shares:
                 raise
-            log(f"{error}; the answer is that of velocities to {max(shares):.4g} m/s")
+            log(f"{error}; the answer uses the velocities up to {max(shares):.4g} m/s")
             if velocity <= max(shares):
                 break
             limits = limits[0], max(shares)
@@ -256,7 +264,8 @@ def search(
 
 
 def shares_of(rows: Iterable[Row], repeat: int) -> dict[float, float]:
-    """Share of the placements that stick by velocity (m/s), where there are `repeat` or more; an undecided one counts as half."""
+    """Velocity (m/s) -> share of the placements that stick, for velocities with `repeat` placements or more. An undecided placement
+    counts as half."""
     counts: dict[float, list[float]] = {}
     for row in rows:
         sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict_by_bonds"], 0.5)
@@ -265,18 +274,19 @@ def shares_of(rows: Iterable[Row], repeat: int) -> dict[float, float]:
 
 
 def verdicts_of(shares: Mapping[float, float]) -> dict[float, str]:
-    """The verdict of most placements by velocity (m/s)."""
+    """Velocity (m/s) -> verdict of the majority of the placements. shares: as of `shares_of`."""
     return {v: STICKS if share > 0.5 else REBOUNDS if share < 0.5 else UNDECIDED for v, share in shares.items()}
 
 
 def answer_of(rows: Iterable[Row], repeat: int) -> Bracket:
-    """The bracket that the rows of a table show, with `repeat` placements or more at each velocity."""
+    """The bracket that the rows of a table show. Velocities with fewer than `repeat` placements do not count."""
     shares = shares_of(rows, repeat)
     return replace(bracket(verdicts_of(shares)), shares=shares if repeat > 1 else {})
 
 
 def slowest_rebound(rows: Iterable[Row]) -> str | None:
-    """Velocity of impact with the slowest rebound, in the mean of the placements, in words; None without a rebound."""
+    """Text: the impact velocity with the slowest rebound, and this rebound velocity as mean of the placements; None without a
+    rebound."""
     rebounds: dict[float, list[float]] = {}
     for row in rows:
         if row["verdict_by_bonds"] == REBOUNDS:
@@ -293,11 +303,9 @@ def point_name(velocity: float, placement: int) -> str:
     return f"{velocity:.6g}ms" + (f"_{placement}" if placement else "")
 
 
-def rows_at(
-    scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Callable[[str], None] = print
-) -> list[Row]:
-    """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there. One that is
-    undecided is continued once, for as long again. Raises StoreError when a run fails."""
+def rows_at(scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Log = print) -> list[Row]:
+    """Compute `repeat` placements at a velocity (m/s), `jobs` at the same time, unless they are in the folder. Returns their rows. An
+    undecided run continues once, for the same time again. Raises StoreError when a run fails."""
     points = {point_name(velocity, k): at_velocity(scene, velocity, k) for k in range(repeat)}
     ended = run_points(folder, points, jobs, log if repeat > 1 else lambda _: None)
     for name, text in points.items():
@@ -305,13 +313,12 @@ def rows_at(
         if status == "undecided":
             status = str(run_point(folder, name, text, again=True)["status"])
         if status not in ("done", "undecided"):
-            reason = (how_ended(folder / f"{name}.json") or {}).get("reason", "it was stopped")
-            raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
+            raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason_of(folder, name)}")
     return [_row(folder / name, velocity, k) for k, name in enumerate(points)]
 
 
 def rows_of(folder: Path) -> list[Row]:
-    """The rows of all runs of a folder that have ended with a result."""
+    """The rows of all runs in a folder that have a result."""
     found = []
     for path in folder.glob("*ms*.json"):
         name, ended = _NAME.fullmatch(path.stem), how_ended(path) or {}

@@ -13,15 +13,16 @@ _MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
 
 
 def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path, error: float | None = None) -> None:
-    """Figure over velocity: restitution, bonded area over the cross section of the particle (diameter, m), and with several placements
-    the share that sticks; markers by verdict, lines through the means. error m/s: of the resolution, where it is measured."""
+    """Draw, over the impact velocity: the coefficient of restitution, the bonded area over the cross-section of the particle
+    (diameter, m), and with several placements the share that sticks. Markers show verdicts, lines join means. error: from the
+    resolution, m/s, None if not measured."""
     figure = blank(10.0 + 4.0 * bool(bracket.shares), 4.0, dpi=130, layout="constrained")
     left, right, *more = figure.subplots(1, 3 if bracket.shares else 2)
     section = 0.25 * math.pi * diameter**2
     for at, key, factor, colour, label in (
         (left, "restitution", 1.0, "k", "rebound velocity / impact velocity"),
-        (right, "bonded_area_m2", 1.0 / section, "0.6", "that bonded"),
-        (right, "bonded_area_end_m2", 1.0 / section, "k", "left at the end"),
+        (right, "bonded_area_m2", 1.0 / section, "0.6", "largest"),
+        (right, "bonded_area_end_m2", 1.0 / section, "k", "at the end"),
     ):
         points = [
             (row["velocity_m_s"], factor * row[key], row["verdict_by_bonds"]) for row in rows if row[key] is not None

@@ -15,14 +15,14 @@ from .runs_table import MEASURES, Row, errors_of
 from .table import write_rows
 
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
-LEFT_OUT = ("wall_s", "energy_drift", "velocity_ratio")  # of MEASURES: not of the particle's fate
+LEFT_OUT = ("wall_s", "energy_drift", "velocity_ratio")  # of MEASURES: they do not describe the splat
 FEWEST = 3  # runs
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over the runs. values (n,): SI, ascending; quantiles: at SHARES; correlations: key of the scene -> Spearman's rank
-    correlation with it; error: of the resolution, the median over the runs that measure it."""
+    """A measure over the runs. values (n,): SI, ascending; quantiles: at SHARES, SI; correlations: key of the scene -> Spearman's rank
+    correlation with it; error: median of the errors from the resolution, SI, None if no run measures it."""
 
     measure: Measure
     values: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Spread:
 
     @property
     def strongest(self) -> str:
-        """The key with the strongest rank correlation, and its value; "" where there is none."""
+        """Text: the key with the strongest rank correlation, and the correlation; "" without any."""
         if not self.correlations:
             return ""
         key = max(self.correlations, key=lambda name: abs(self.correlations[name]))
@@ -40,13 +40,14 @@ class Spread:
 
 
 def varied_numbers(rows: Sequence[Row], varied: Sequence[str]) -> tuple[str, ...]:
-    """The numbers of the scenes that belong to varied keys ("particle.offset[1]" to "particle.offset") and differ between rows."""
+    """The numbers of the scenes that belong to varied keys and differ between rows; "particle.offset[1]" belongs to
+    "particle.offset"."""
     keys = {key: None for row in rows for key in row["keys"] if key in varied or key.partition("[")[0] in varied}
     return tuple(key for key in keys if len({row["keys"].get(key) for row in rows if row["keys"]}) > 1)
 
 
 def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
-    """Each measure that FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
+    """Distribution of each measure that at least FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
     result = []
     for name in MEASURES:
         used = [row for row in rows if row["status"] == "done" and row[name] is not None]
@@ -56,7 +57,7 @@ def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
         correlations = {}
         for key in keys:
             x = np.array([row["keys"].get(key, np.nan) for row in used], float)
-            if np.ptp(x) > 0.0 and np.ptp(y) > 0.0:  # not with a nan either
+            if np.ptp(x) > 0.0 and np.ptp(y) > 0.0:  # false for nan, too
                 correlations[key] = float(spearmanr(x, y).statistic)
         quantiles = tuple(float(q) for q in np.quantile(y, SHARES))
         error = float(np.median(errors)) if (errors := errors_of(rows, name)) else None
@@ -65,7 +66,7 @@ def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
 
 
 def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
-    """A row for each measure, SI units. Raises StoreError."""
+    """Write a row for each measure as CSV, SI units. Raises StoreError."""
     keys = dict.fromkeys(key for spread in measures for key in spread.correlations)
     names, of_keys = [f"quantile_{share:g}" for share in SHARES], [f"rank_correlation {key}" for key in keys]
     columns, rows = ("measure", "runs", "mean", "deviation", "error", *names, *of_keys), []
@@ -77,7 +78,7 @@ def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
 
 
 def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
-    """Draw the share of runs below each value, a panel for each measure; shaded from the first to the last of SHARES."""
+    """Draw the cumulative distribution of each measure in a panel; shaded between the first and the last of SHARES."""
     columns = min(3, len(measures))
     rows = math.ceil(len(measures) / columns)
     figure = blank(3.6 * columns, 2.7 * rows + 0.3, dpi=130, layout="constrained")

@@ -1,4 +1,4 @@
-"""Ensembles: values drawn from distributions by a quasi-random sequence, and the distribution of what comes out of the runs."""
+"""Distributions of an ensemble, and values drawn from them with a quasi-random sequence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ _EXAMPLES = (
 
 @dataclass(frozen=True)
 class Distribution:
-    """A distribution of one number of a scene, or a choice among values. kind: of KINDS; numbers: of its keys, SI; unit: in which
-    values are written, "" for plain numbers; limits: SI, where it is cut; values: of a choice."""
+    """Distribution of one number of a scene, or a choice among values. kind: key in KINDS; numbers: values of its two parameters, SI;
+    unit: in which values are written, "" for plain numbers; limits: least and greatest value, SI; values: those of a choice."""
 
     kind: str
     numbers: tuple[float, float] = (0.0, 1.0)
@@ -32,11 +32,11 @@ class Distribution:
 
     @staticmethod
     def is_table(table: Mapping[str, object]) -> bool:
-        """Whether a table describes a distribution, and not keys of a scene."""
+        """Whether a table describes a distribution (and not keys of a scene)."""
         return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
 
     def at(self, share: float) -> object:
-        """The value that `share` of all values lie below, as a scene writes it."""
+        """The quantile at `share` (0 to 1), as text with its unit or as number."""
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         a, b = self.numbers
@@ -49,8 +49,8 @@ class Distribution:
 
 
 def distribution_of(table: object) -> Distribution:
-    """Read a distribution: { mean, deviation }, { median, spread } (log-normal, geometric standard deviation), { from, to } or
-    { values = [...] }, the first two with `smallest` and `largest` if they are cut. Raises ValueError."""
+    """Read a distribution: { mean, deviation }, { median, spread } (log-normal; spread: geometric standard deviation), { from, to } or
+    { values = [...] }. The first two may have limits `smallest` and `largest`. Raises ValueError."""
     kind = next(
         (k for k, keys in KINDS.items() if isinstance(table, Mapping) and all(key in table for key in keys)), None
     )
@@ -83,7 +83,7 @@ def distribution_of(table: object) -> Distribution:
 
 
 def _number(key: str, value: object) -> tuple[float, str]:
-    """A number and its unit, SI. Raises ValueError."""
+    """A number in SI and the unit that it is given in. Raises ValueError."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value), ""
     unit = value.partition(" ")[2].strip() if isinstance(value, str) else ""
@@ -94,7 +94,7 @@ def _number(key: str, value: object) -> tuple[float, str]:
 
 
 def draws(laws: Sequence[Distribution], count: int, seed: int) -> list[list[object]]:
-    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808) through the inverse distributions. A longer series
-    begins with the shorter one, so that an ensemble can be extended."""
+    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808), mapped by the quantiles of the distributions. A
+    longer series begins with the shorter one: an ensemble can be extended."""
     shares = stats.qmc.Halton(len(laws), scramble=True, rng=np.random.default_rng(seed)).random(count)
     return [[law.at(float(share)) for law, share in zip(laws, row, strict=True)] for row in shares]

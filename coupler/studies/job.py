@@ -1,7 +1,5 @@
-"""A job: one question of a process engineer, answered by a small folder of runs, job.json and one page."""
+"""A job: one question of a process engineer, answered by a folder of runs, job.json and one page."""
 
-import base64
-import json
 import math
 from collections.abc import Callable, Sequence
 from html import escape
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydantic_core import to_json
 
 from .. import __version__
 from ..files.outputs import MARK, write_text
@@ -18,21 +17,26 @@ from ..measures import STICKS
 from ..plan.job import Job, choose
 from ..plan.reading import Scene
 from ..plan.text import duration
-from ..report.page import Page, embedded
+from ..report import parts
+from ..report.page import Page, embedded, image_of
 from ..report.picture import blank
 from . import coating_files
 from .coating import read
 from .job_numbers import BAND, Number, numbers, record
-from .job_parts import Bonds, Coating, Log, bonds, coatings, efficiency, folder_of, with_errors
+from .job_parts import Bonds, Coating, bonds, coatings, efficiency, folder_of, with_errors
+from .runs import Log
 from .trust import RULE
 
 PAGE, RECORD = "job.html", "job.json"
 
 
 def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], jobs: int, log: Log) -> dict[str, Any]:
-    """Compute what a job lacks in its folder, write job.json and job.html. text: the file of the job; takes: processor time of a scene,
-    s; jobs: cores. Returns what job.json has. Raises StoreError where the folder holds another job."""
-    choice, seconds, then = choose(job, takes, jobs)  # a job that is refused leaves no folder
+    """Compute the runs of a job that are missing in its folder; write job.json and job.html. Returns the contents of job.json.
+
+    text: the file of the job; takes: gives the processor time of a scene, s; jobs: number of cores. Raises SceneError if the time
+    of the job is too short, StoreError if the folder holds another job.
+    """
+    choice, seconds, then = choose(job, takes, jobs)  # before the folder is made
     folder_of(text, out)
     log(f"chosen for {duration(job.data.within)}: {choice.words}; about {duration(seconds)} here")
     found = [bonds(job, choice, base, out, jobs, log) for base in job.bases] if choice.bonds else []
@@ -40,40 +44,34 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     coating = coatings(job, choice, out, jobs, log) if sticks else Coating({}, {})
     found = [with_errors(job, choice, each, out, jobs, log) for each in found]
     known = {"version": __version__, **record(job, choice, seconds, then, found, coating)}
-    write_text(out / RECORD, json.dumps(_finite(known), indent=1, ensure_ascii=False) + "\n")
+    write_text(out / RECORD, to_json(known, indent=1, inf_nan_mode="null").decode() + "\n")
     write_text(out / PAGE, page(job, text, out, known, found, coating))
     return known
 
 
-def _finite(value: Any) -> Any:
-    """A value for JSON: None in place of infinity, the fields of nested values too."""
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
-    """The page of a job as HTML; the first sheet, to print, has the answer, the numbers, the window and a section of the coating."""
+    """The page of a job as HTML. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
+    coating."""
     lines, sheet = numbers(job, found, coating), Page()
     pictures = [(embedded(window(job, found)), "The powder in the window of this pair")]
     if coating.measures:
-        pictures.append((_micrograph(out, next(iter(coating.measures))), "Section of the first coating; pores black"))
+        splats = read(Result(out / next(iter(coating.measures))))
+        picture = coating_files.micrograph(splats, out / "micrograph.png", 1.3 * splats.patch)
+        pictures.append((image_of(picture.read_bytes()), "Section of the first coating; pores black"))
     images = "".join(
         f'<figure><figcaption>{escape(words)}</figcaption><img src="{image}" alt="{escape(words)}"></figure>'
         for image, words in pictures
     )
     said = "<br>".join(map(escape, known["answer"]))
-    trusted = f'<p class="caption">{escape(RULE)} Ranges in brackets: least and greatest; what they have is below the table.</p>'
+    trusted = f'<p class="caption">{escape(RULE)} Ranges in brackets: least and greatest value.</p>'
     ranges, left = ("; ".join(known[key]) for key in ("errors_in", "errors_not_in"))
-    errors = f'<p class="caption">{escape(f"In the ranges: {ranges}. Not in them: {left}.")}</p>'
+    errors = f'<p class="caption">{escape(f"The ranges include: {ranges}. They do not include: {left}.")}</p>'
     front = f'<p id="verdict">{said}</p>{_table(lines)}{errors}{trusted}<div class="two">{images}</div>'
     failed = [f"{name}: {why}" for name, why in known["failed"].items()]
     front += "".join(f'<p class="warn">{escape(line)}</p>' for line in failed)
     sheet.section("computed", "How it was computed", _computed(known, found, coating))
     sheet.section("time", "What more time buys", f"<p>{escape(known['more_time'])}.</p>")
-    sheet.section("assumed", "What is assumed", _list(_assumed(job)))
+    sheet.section("assumed", "What is assumed", parts.items(_assumed(job)))
     sheet.section("job", "The job", f"<pre>{escape(text)}</pre>")
     return sheet.html(
         f"{job.data.powder.material} on {job.data.substrate.material}: does it stick?",
@@ -94,25 +92,13 @@ def _conditions(job: Job) -> str:
 
 
 def _table(lines: Sequence[Number]) -> str:
-    heads, rows = ("", "by formula", "computed", "trust", "how"), []
+    rows = []
     for line in lines:
         link = f' (<a href="{escape(line.folder)}">runs</a>)' if line.folder else ""
         mark = f'<span class="mark {line.colour}"></span>{line.colour} <small>{escape(line.why)}</small>'
-        cells = (
-            escape(line.label),
-            escape(line.formula),
-            escape(line.computed),
-            mark,
-            f"<small>{escape(line.how)}{link}</small>",
-        )
-        rows.append("".join(f'<td data-head="{head}">{cell}</td>' for head, cell in zip(heads, cells, strict=True)))
-    head = "".join(f"<th>{text}</th>" for text in heads)
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f'<div class="wide stack"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def _list(texts: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in texts) + "</ul>"
+        how = f"<small>{escape(line.how)}{link}</small>"
+        rows.append((line.label, line.formula, line.computed, parts.Html(mark), parts.Html(how)))
+    return parts.table(("", "by formula", "computed", "trust", "how"), rows, stack=True)
 
 
 def _computed(known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
@@ -122,7 +108,8 @@ def _computed(known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -
         for folder, c in coating.measures.items()
     ]
     how = "Each folder has the scene.toml of its run: coldspray report FOLDER shows a run, coldspray run computes its scene again."
-    return f"<p>{escape(known['computed'])}; about {duration(known['expected_s'])} were expected.</p>{_list(runs)}<p>{how}</p>"
+    expected = f"<p>{escape(known['computed'])}; about {duration(known['expected_s'])} were expected.</p>"
+    return f"{expected}{parts.items(runs)}<p>{how}</p>"
 
 
 def _assumed(job: Job) -> list[str]:
@@ -142,14 +129,9 @@ def _assumed(job: Job) -> list[str]:
     ]
 
 
-def _micrograph(out: Path, folder: str) -> str:
-    splats = read(Result(out / folder))
-    path = coating_files.micrograph(splats, out / "micrograph.png", 1.3 * splats.patch)
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
-
-
 def window(job: Job, found: Sequence[Bonds]) -> Figure:
-    """Velocity over diameter: the powder as it arrives, and the critical velocities of the pair by formula and by computed bonds."""
+    """Velocity over diameter: the powder at impact, and the critical velocities of the pair from the formula and from computed
+    bonds."""
     spray, figure = job.arrived, blank(5.6, 3.9, 130, "constrained")
     axis, D = figure.add_subplot(), 1e6 * spray.diameter
     axis.plot(D, spray.velocity, "o-", color="k", ms=3, label="powder at impact (25 classes of equal mass)")

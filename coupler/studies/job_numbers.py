@@ -1,4 +1,4 @@
-"""The numbers of a job: value, range, mark, and where each comes from; what stands in job.json and on its page."""
+"""The numbers of a job with ranges, marks and origins: the contents of job.json and the table of its page."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -16,8 +16,8 @@ from .coating import CoatingMeasures
 from .job_parts import Bonds, Coating, efficiency, ends, thickness
 from .trust import mark
 
-BAND = 0.2  # of the critical velocity by the formula, as `coldspray window` has it
-AGREE = 0.5  # shares of the mass on either side of this do not agree
+BAND = 0.2  # relative uncertainty of the critical velocity by the formula, as in `coldspray window`
+AGREE = 0.5  # share of the mass: two values on different sides of it disagree
 FLOWN, CRITICAL = "velocity at impact", "critical velocity"
 NOT_IN = (
     "oxide film (its strength is known within a factor of two)", "friction", "gas and drag", "resolution of the coatings",
@@ -30,8 +30,8 @@ Range = tuple[float, float, float]  # value, least, greatest
 
 @dataclass(frozen=True)
 class Number:
-    """A line of the page. formula, computed: values with their ranges, as text, "" for none; values: of both, SI, for job.json; colour,
-    why: its mark; how: it is computed; folder: of its runs, in that of the job."""
+    """A line of the table. formula, computed: value with its range as text, "" for none; values: the same in SI, for job.json; colour,
+    why: its mark (`trust.Mark`); how: the method; folder: of its runs, relative to the folder of the job."""
 
     label: str
     formula: str
@@ -44,13 +44,13 @@ class Number:
 
 
 def formula_share(spray: Spray, on_substrate: bool) -> Range:
-    """Share of the mass that sticks by the formula, with the least and the greatest within BAND of the critical velocity."""
+    """Share of the mass that sticks by the formula; least and greatest share within BAND of the critical velocity."""
     each = [spray.fates(f, on_substrate)[STICKS] for f in (1.0, *np.linspace(1.0 - BAND, 1.0 + BAND, 9).tolist())]
     return each[0], min(each), max(each)
 
 
 def numbers(job: Job, bonds: Sequence[Bonds], coating: Coating) -> list[Number]:
-    """All lines, the question of sticking first."""
+    """All lines of the table, in their order."""
     spray, lines = job.arrived, [flown(job)]
     for base in job.bases:
         found = next((each for each in bonds if each.base == base), None)
@@ -60,7 +60,7 @@ def numbers(job: Job, bonds: Sequence[Bonds], coating: Coating) -> list[Number]:
 
 
 def flown(job: Job) -> Number:
-    """Velocities at impact."""
+    """The line of the velocities at impact."""
     spray, k = job.arrived, [int(len(job.arrived.share) * share) for share in (0.1, 0.5, 0.9)]
     v, T = (", ".join(f"{values[i]:.0f}" for i in k) for values in (spray.velocity, spray.temperature))
     slowest, middle, fastest = sorted(spray.velocity[k].tolist())
@@ -70,7 +70,8 @@ def flown(job: Job) -> Number:
 
 
 def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
-    """Critical velocity on a metal, and the share of the powder that sticks there, by formula and by bonds."""
+    """The lines of a metal that the powder hits: critical velocity, and share of the powder that sticks. found: from computed bonds,
+    None without."""
     spray, metal, is_own = job.arrived, job.metal.name, base == job.bases[-1]
     k, folder = len(spray.formula) // 2, found.folder if found else ""
     formula, v, name = spray.formula[k], float(spray.velocity[k]), job.metals[base].name
@@ -98,7 +99,7 @@ def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
 
 
 def critical_words(found: Bonds | None) -> str:
-    """The critical velocity by computed bonds as text, with the range of its errors."""
+    """The critical velocity from computed bonds as text, with its range."""
     if found is None:
         return "not computed"
     low, high = ends(found.found)
@@ -111,7 +112,8 @@ def critical_words(found: Bonds | None) -> str:
 
 
 def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: float) -> list[Number]:
-    """The lines of the coating. shares: deposition efficiency by formula and bonds; v: velocity of the median particle, m/s."""
+    """The lines of the coating; none without a computed coating. shares: "formula", "computed" -> deposition efficiency; v: velocity of
+    the median particle, m/s."""
     if not coating.measures:
         return []
     name, (folder, first) = job.metal.name, next(iter(coating.measures.items()))
@@ -135,7 +137,7 @@ def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: f
 
 
 def pores(coating: CoatingMeasures) -> float:
-    """Porosity, open and closed."""
+    """Open plus closed porosity."""
     return coating.porosity_open + coating.porosity_closed
 
 
@@ -156,7 +158,7 @@ def _um(layer: Range | None) -> str:
 
 
 def answer(job: Job, lines: Sequence[Number]) -> list[str]:
-    """The answer in sentences; that formula and bonds disagree stands first."""
+    """The answer in sentences; disagreements between formula and computed bonds come first."""
     texts = []
     for line in lines:
         if (by_formula := line.values.get("formula")) is None or "ritical" in line.label or "Thickness" in line.label:
@@ -173,7 +175,7 @@ def answer(job: Job, lines: Sequence[Number]) -> list[str]:
 
 
 def errors_in(choice: Choice, bonds: Sequence[Bonds], coating: Coating) -> list[str]:
-    """The errors that the ranges of the numbers have."""
+    """The errors that the ranges of the numbers include, as text."""
     texts = [f"by the formula: ± {BAND:.0%} of the critical velocity"]
     if bonds:
         texts.append(f"by bonds: the bracket of the search ({choice.tolerance:.0%})")
@@ -181,14 +183,16 @@ def errors_in(choice: Choice, bonds: Sequence[Bonds], coating: Coating) -> list[
         sets = dict.fromkeys(name for each in bonds for name in each.sets)
         texts += [f"the strength of the powder ({', '.join(sets)})"] if sets else []
     if len(coating.measures) > 1:
-        texts.append(f"of the coating: standard error of the mean of {len(coating.measures)}, of other particles each")
+        texts.append(
+            f"for the coating: standard error of the mean of {len(coating.measures)} coatings of different particles"
+        )
     return texts
 
 
 def record(
     job: Job, choice: Choice, seconds: float, then: tuple[Choice, float] | None, bonds: Sequence[Bonds], coating: Coating
 ) -> dict[str, Any]:  # fmt: skip
-    """What job.json has, SI."""
+    """The contents of job.json, SI."""
     lines = numbers(job, bonds, coating)
     is_in = {
         "resolution of the impacts": choice.coarser,
@@ -198,7 +202,7 @@ def record(
     more = (
         f"{duration(then[1])} would buy: {then[0].words}"
         if then
-        else "more time buys nothing: this is the most that a job computes"
+        else "more time changes nothing: a job computes no more than this"
     )
     return {
         "job": job.name, "answer": answer(job, lines), "numbers": [asdict(line) for line in lines],

@@ -1,8 +1,4 @@
-"""Parts of a job: ordinary runs in a small folder that answer one question of a process engineer.
-
-OUT/job.toml is the question, OUT/bonds/ has searches of critical velocities, OUT/coatings/
-runs of coatings, each with its scene; what is there is not computed again. `job` makes the numbers of OUT/job.json and OUT/job.html.
-"""
+"""The runs of a job: searches of critical velocities in OUT/bonds, coatings in OUT/coatings. Finished runs are not computed again."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +10,6 @@ import numpy as np
 from ..errors import ColdsprayError, StoreError
 from ..files.inputs import parse_toml, read_toml
 from ..files.outputs import claim_folder, write_text
-from ..files.result import Result
 from ..measures import STICKS
 from ..plan.job import WITHIN, Choice, Job
 from ..spray.window import Spray
@@ -22,17 +17,17 @@ from . import critical
 from .coating import CoatingMeasures, SeedError, measure
 from .coating import read as read_coating
 from .coating_seeds import seed_error
-from .runs import how_ended, run_points
+from .runs import Log, results
 
 FILES = ("job.toml", "job.json", "job.html", "window.png", "micrograph.png")
-OTHER = 0.1  # width of a bracket over its middle, of the searches that measure an error
-Log = Callable[[str], None]
+OTHER = 0.1  # width of a bracket over its middle, for searches that measure an error
 
 
 @dataclass(frozen=True)
 class Bonds:
-    """Critical velocity of the median particle on a metal by computed bonds. found: its bracket; error: of the resolution, m/s,
-    None where it is not measured; sets: the bracket with each other strength set of the powder; failed: why there is none."""
+    """Critical velocity of the median particle on the metal `base`, from computed bonds. folder: of the runs; found: bracket;
+    error: from the resolution, m/s, None if not measured; sets: other strength set of the powder -> bracket; failed: why there is
+    no bracket."""
 
     base: str
     folder: str
@@ -43,12 +38,12 @@ class Bonds:
 
     @property
     def velocity(self) -> float:
-        """The critical velocity, m/s: the middle of the bracket, or its one end; infinite where the particle rebounds at all."""
+        """The critical velocity, m/s: middle of the bracket, or its only end; infinite if the particle rebounds at all velocities."""
         return 0.5 * sum(ends(self.found))
 
     @property
     def band(self) -> tuple[float, float]:
-        """Least and greatest critical velocity, m/s: of the bracket, with the error of the resolution, and of the other sets."""
+        """Least and greatest critical velocity, m/s, from the bracket, the error of the resolution and the other strength sets."""
         low, high = ends(self.found)
         if self.error is not None and self.found.velocity is not None:
             low, high = min(low, self.found.velocity - self.error), max(high, self.found.velocity + self.error)
@@ -57,25 +52,25 @@ class Bonds:
 
 
 def ends(found: critical.Bracket) -> tuple[float, float]:
-    """The velocities (m/s) between which a bracket has the critical one; the upper one is infinite where the particle rebounds at all,
-    the lower one is that of the slowest run where it sticks at all, and 0 where no run has a verdict."""
+    """Least and greatest critical velocity (m/s) of a bracket. Rebound at all velocities: the greatest is infinite. Sticking at all:
+    both are the velocity of the slowest run. No verdict: 0 and infinite."""
     return found.low or found.high or 0.0, math.inf if found.high is None else found.high
 
 
 @dataclass(frozen=True)
 class Coating:
-    """Coatings of several seeds. measures: of each, by its folder; failed: seeds that have none -> why."""
+    """Coatings of several seeds. measures: folder -> measures; failed: point without a coating -> reason."""
 
     measures: Mapping[str, CoatingMeasures]
     failed: Mapping[str, str]
 
     def over(self, value: Callable[[CoatingMeasures], float]) -> SeedError:
-        """A measure over the seeds, one at least."""
+        """A measure over the seeds with its error; at least one seed has measures."""
         return seed_error([value(each) for each in self.measures.values()])
 
 
 def folder_of(text: str, out: Path) -> None:
-    """Write the file of a job, `text`, into its folder `out`. Raises StoreError if the folder holds a job that differs in more than
+    """Write the text of a job into its folder `out`. Raises StoreError if the folder holds a job that differs in keys other than
     `within`."""
     claim_folder(out, "job", FILES)
     kept = out / FILES[0]
@@ -87,8 +82,8 @@ def folder_of(text: str, out: Path) -> None:
 def search(
     job: Job, base: str, points: int, tolerance: float, placements: int, out: Path, jobs: int, log: Log, strength: str = ""
 ) -> critical.Bracket:  # fmt: skip
-    """The critical velocity of the median particle on a metal. strength: a set of the powder in place of its own. Raises
-    ColdsprayError."""
+    """Search the critical velocity of the median particle on a metal. points, tolerance, placements: as in `Choice`; strength: another
+    strength set of the powder. Raises ColdsprayError if no velocity can be computed."""
     v = float(job.arrived.velocity[len(job.arrived.velocity) // 2])
     name = "_".join([f"{points}", *([strength] if strength else [])])
     log(f"critical velocity on {base}: {points} points{', ' + strength if strength else ''}")
@@ -97,7 +92,7 @@ def search(
 
 
 def bonds(job: Job, choice: Choice, base: str, out: Path, jobs: int, log: Log) -> Bonds:
-    """The critical velocity on a metal, without its errors beyond the bracket. A search that fails is told."""
+    """The critical velocity on a metal with its bracket alone. A search that fails gives the reason in `failed`."""
     folder = f"bonds/on_{base}/{choice.bonds}"
     try:
         return Bonds(base, folder, search(job, base, choice.bonds, choice.tolerance, choice.placements, out, jobs, log))
@@ -106,7 +101,7 @@ def bonds(job: Job, choice: Choice, base: str, out: Path, jobs: int, log: Log) -
 
 
 def with_errors(job: Job, choice: Choice, known: Bonds, out: Path, jobs: int, log: Log) -> Bonds:
-    """A critical velocity with the errors that the choice asks for: of the resolution and of the strength of the powder."""
+    """A critical velocity with the further errors of the choice: from the resolution and from the strength of the powder."""
     error, sets = None, {}
     wanted = [(choice.coarser, "")] * (choice.coarser > 0)
     wanted += [(choice.sets, name) for name in job.other_sets if choice.sets]
@@ -124,25 +119,23 @@ def with_errors(job: Job, choice: Choice, known: Bonds, out: Path, jobs: int, lo
 
 
 def coatings(job: Job, choice: Choice, out: Path, jobs: int, log: Log) -> Coating:
-    """The coatings of all seeds, computed unless they are there."""
+    """Compute the coatings of all seeds, and measure them."""
     folder = out / "coatings"
     name = f"{choice.number}x{choice.points}_seed_{{}}"
     points = {name.format(k): job.coating(choice, k).to_toml() for k in range(1, choice.seeds + 1)}
-    statuses = run_points(folder, points, jobs, log)
-    measures, failed = {}, {}
-    for point, status in statuses.items():
+    found, failed = results(folder, points, jobs, log)
+    measures = {}
+    for point, result in found.items():
         try:
-            if status not in ("done", "undecided"):
-                raise StoreError(str((how_ended(folder / f"{point}.json") or {}).get("reason", "it was stopped")))
-            measures[f"coatings/{point}"] = measure(read_coating(Result(folder / point)))
+            measures[f"coatings/{point}"] = measure(read_coating(result))
         except ColdsprayError as error:
             failed[point] = str(error)
     return Coating(measures, failed)
 
 
 def efficiency(spray: Spray, bonds: Bonds) -> tuple[float, float, float]:
-    """Share of the mass that sticks on a metal by computed bonds, and its least and greatest value. The critical velocity of the median
-    particle is computed; those of other sizes and temperatures are in the ratio of the formula to it."""
+    """Share of the mass that sticks on a metal from computed bonds; least and greatest share. The critical velocity is computed for the
+    median particle; for other sizes and temperatures it is scaled as the formula says."""
     formula = float(spray.critical[len(spray.critical) // 2])
 
     def share(velocity: float) -> float:
@@ -155,6 +148,6 @@ def efficiency(spray: Spray, bonds: Bonds) -> tuple[float, float, float]:
 
 
 def thickness(job: Job, share: float, porosity: float) -> float:
-    """Mean thickness (m) of one pass over the width of the spot: feed * efficiency / (density (1 - porosity) * gun speed * spot)."""
+    """Mean thickness (m) of one pass over the width of the spot: feed share / (density (1 - porosity) speed spot)."""
     track = job.data.spray
     return track.feed_rate * share / (job.metal.rho * (1.0 - porosity) * track.traverse_speed * track.spot)

@@ -1,4 +1,4 @@
-"""Pictures of a map: a measure over the axes as a surface, as lines or as points, with the runs by their verdicts."""
+"""Pictures of a map: a measure over the axes as a surface, as lines or as points; markers show the verdicts of the runs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,14 +22,14 @@ from . import maps
 from .maps import BAND, FORMULAS, LOGARITHMIC, Interpolation, shown
 from .runs_table import Row, errors_of, others_that_vary
 
-# in even steps of lightness
+# colour maps with uniform steps of lightness
 COLOURS = dict.fromkeys(MEASURES, "viridis") | {
     "T_p99_K": "inferno", "T_mean_K": "inferno", "restitution": "cividis", "rebound_velocity_m_s": "cividis",
     "velocity_ratio": "PuOr_r",
 }  # fmt: skip
-GRID = 121  # places along each side of a map
-MOST_SLICES = 6  # values of a third axis that have a row of panels each
-MOST_LINES = 8  # in a picture of lines; more are drawn as points in a plane
+GRID = 121  # grid points along each side of a map
+MOST_SLICES = 6  # values of a third axis: each has a row of panels
+MOST_LINES = 8  # in one picture; more are drawn as points in a plane
 NO_VALUE = "failed or without a value"
 # verdict -> marker of a point
 MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s", "no verdict": "D", NO_VALUE: "X"}
@@ -37,12 +37,12 @@ Axes_ = tuple[str, ...]
 
 
 def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequence[str] = ()) -> list[str]:
-    """Draw quantities of a map's table into out/map_<material>_<quantity>.png.
+    """Draw quantities of the table of a map as out/map_<material>_<quantity>.png.
 
-    Two or three axes whose points support it (`maps.sparse`): a surface and its band inside the convex hull of the points, a row of
-    panels for each value of a third axis; one axis: a curve, divided where the verdict changes; else points and straight lines.
-    axes: see `runs_table.add_axes`; by default all of AXES that vary. Returns remarks: file and errors of each interpolation, its
-    limits, and the next point worth a run.
+    Two or three axes with enough points (`maps.sparse`): a surface and its band inside the convex hull of the points, with a row of
+    panels for each value of the third axis. One axis: a curve, divided where the verdict changes. Else: points and straight lines.
+    axes: as of `runs_table.add_axes`; by default those of AXES that vary. Returns text lines: file and errors of each interpolation,
+    its limits, and the next point to compute.
     """
     remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
@@ -50,18 +50,20 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
         done = [row for row in own if row["status"] == "done"]
         used = tuple(axes) or maps.varying(done)
         if not used or any(row[axis] is None for axis in used for row in done) or len(done) < 2:
-            none = f"its {len(done)} points that are done vary in none of the axes"
-            remarks.append(f"{material}: no map; {none}: name keys of the scene with --axes")
+            none = f"its {len(done)} finished points vary in none of the axes"
+            remarks.append(f"{material}: no map; {none}: give keys of the scene with --axes")
             continue
         if others := others_that_vary(done, used):
-            remarks.append(f"{material}: points of the same place differ in {', '.join(others[:5])}, which is no axis")
+            remarks.append(
+                f"{material}: points with the same axes differ in {', '.join(others[:5])}: add it with --axes"
+            )
         for quantity in quantities:
             remarks += _drawn(out / f"map_{material}_{quantity}.png", own, used, quantity)
     return remarks or ["no map: no point is done"]
 
 
 def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[str]:
-    """Draw a quantity of one material. Returns the remarks on it."""
+    """Draw a quantity of one material. Returns text lines about it."""
     m, done = MEASURES[quantity], [row for row in rows if row["status"] == "done"]
     head = f"{rows[0]['material']}, {m.label}"
     if all(row[quantity] is None for row in done):
@@ -102,7 +104,7 @@ def _quality(fit: Interpolation, m: Measure) -> str:
 
 
 def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, list[Row]]:
-    """The rows by the kinds of MARKERS; quantity: rows without a number of it have no verdict here, but NO_VALUE."""
+    """Kind of MARKERS -> rows. Rows that failed, or have no number for `quantity`, are under NO_VALUE."""
     kinds: dict[str, list[Row]] = {kind: [] for kind in MARKERS}
     for row in rows:
         is_over = row["status"] in ("done", "undecided") and (quantity is None or row[quantity] is not None)
@@ -111,7 +113,7 @@ def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, li
 
 
 def _form_lines(rows: Sequence[Row], axes: Axes_) -> bool:
-    """Whether `_lines` draws few lines, of more than one point each in the mean."""
+    """Whether `_lines` draws at most MOST_LINES lines, with more than one point for each on average."""
     x_axis = _longest(rows, axes)
     number = len({tuple(row[axis] for axis in axes if axis != x_axis) for row in rows})
     return number <= MOST_LINES and len(rows) > number
@@ -123,8 +125,9 @@ def _longest(rows: Sequence[Row], axes: Axes_) -> str:
 
 
 def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
-    """A quantity over the axis with the most values, a line for each place on the others: straight between points; of one axis the
-    interpolation with its band where the points support it, each side of a change of the verdict (`maps.sides`) alone."""
+    """A quantity over the axis with the most values, one line for each combination of the other axes. Lines are straight between
+    points; with a single axis the interpolation and its band are drawn, separately on each side of a change of verdict
+    (`maps.sides`)."""
     m, done = MEASURES[quantity], maps.with_value(rows, quantity)
     x_axis = _longest(done, axes)
     others = [axis for axis in axes if axis != x_axis]
@@ -162,7 +165,8 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
 
 def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interpolation | None, colour: str | None,
           label: str) -> str:  # fmt: skip
-    """Draw one side of a line: the interpolation and its band, or straight lines. colour: None for the next one. Returns it."""
+    """Draw one side of a line: the interpolation and its band, or straight lines. colour: None takes the next one. Returns the
+    colour."""
     factor = MEASURES[quantity].factor
     line = sorted(rows, key=lambda row: row[x_axis])
     x, y = np.array([row[x_axis] for row in line]), np.array([row[quantity] for row in line])
@@ -180,7 +184,7 @@ def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interp
 
 
 def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
-    """The points over the first two axes, in colours of the quantity: of points that support no surface and form no lines."""
+    """The points over the first two axes, coloured by the quantity: for points that support no surface and form no lines."""
     m, done = MEASURES[quantity], maps.with_value(rows, quantity)
     values = [m.factor * row[quantity] for row in done]
     figure = blank(6.4, 4.6, dpi=130, layout="constrained")
@@ -198,7 +202,8 @@ def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
 
 
 def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolation) -> Figure:
-    """Mean and half width of the 95 % band side by side, a row for each value of the third axis, or of three where there are many."""
+    """Mean and half width of the 95 % band side by side; a row for each value of the third axis, or for three values if there are
+    more than MOST_SLICES."""
     factor = MEASURES[quantity].factor
     x_axis, y_axis, *third = axes
     done = maps.with_value(rows, quantity)
@@ -207,7 +212,7 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
         slices = [float(f"{value:.3g}") for value in np.quantile([row[third[0]] for row in done], (0.25, 0.5, 0.75))]
 
     def nearest(place: float | None) -> float | None:
-        """The slice that a point is drawn in; None for a point without a value of the axis."""
+        """The slice in which a point is drawn; None for a point without a value of the axis."""
         known = [each for each in slices if each is not None]
         return None if place is None else min(known, key=lambda each: abs(each - place))
 
@@ -230,7 +235,8 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
 
 
 def _fields(done: Sequence[Row], axes: Axes_, value: float | None, fit: Interpolation) -> tuple[NDArray, ...]:
-    """x, y, mean and half width of the band on a grid over the range of the points, (GRID,GRID) each; NaN outside their hull."""
+    """x, y, mean and half width of the band on a grid over the range of the points, (GRID,GRID) each; NaN outside their convex hull.
+    value: of the third axis."""
     x, y = np.meshgrid(*(_spaced(np.array([row[axis] for row in done]), axis, GRID) for axis in axes[:2]))
     at = (x, y) if value is None else (x, y, np.full_like(x, value))
     mean, std = (np.where(fit.inside(*at), values, np.nan) for values in fit(*at))
@@ -238,12 +244,12 @@ def _fields(done: Sequence[Row], axes: Axes_, value: float | None, fit: Interpol
 
 
 def _spaced(values: NDArray, axis: str, count: int) -> NDArray:
-    """Values over the range of an axis, evenly spaced on its scale."""
+    """`count` values over the range of `values`, evenly spaced on the scale of the axis."""
     return (np.geomspace if axis in LOGARITHMIC else np.linspace)(values.min(), values.max(), count)
 
 
 def _ends(low: float, high: float, quantity: str) -> tuple[float, float]:
-    """Ends of the colours; of a ratio to a critical value, 1 lies in the middle."""
+    """Ends of the colour scale; for a ratio to a critical value, 1 lies in the middle."""
     reach = max(high - 1.0, 1.0 - low)
     return (1.0 - reach, 1.0 + reach) if quantity in FORMULAS else (low, high)
 
@@ -273,7 +279,7 @@ def _contours(at: Axes, field: tuple[NDArray, NDArray, NDArray], levels: NDArray
 def _points(
     at: Axes, rows: Sequence[Row], x_axis: str, y_axis: str, quantity: str, colours: ScalarMappable | None = None
 ) -> None:
-    """The points by their verdicts, crosses without a value of the quantity. colours: of the quantity; white without."""
+    """Draw the points with the markers of their verdicts. colours: scale of the quantity; white points without it."""
     for kind, points in by_verdict(rows, quantity).items():
         points = [row for row in points if row[x_axis] is not None and row[y_axis] is not None]
         values = [MEASURES[quantity].factor * row[quantity] for row in points] if colours and kind != NO_VALUE else None
@@ -293,7 +299,7 @@ def _scatter(
     at: Axes, x: Sequence[float], y: Sequence[float], kind: str, values: Sequence[float] | None = None,
     colours: ScalarMappable | None = None, edgecolors: str | Sequence[str] = "k",
 ) -> None:  # fmt: skip
-    """Markers of one kind of points, with an entry of the legend; white, orange without a value, or in the colours of values."""
+    """Draw points of one kind of MARKERS, with an entry in the legend. Colours: of `values`, else white, orange for NO_VALUE."""
     if not x:
         return
     style: dict[str, Any] = {"c": "#d55e00" if kind == NO_VALUE else "w", "s": 22, "edgecolors": edgecolors}
@@ -307,7 +313,7 @@ def _heading(rows: Sequence[Row], done: Sequence[Row]) -> str:
 
 
 def _in_units(axis: Axis, key: str) -> None:
-    """Label an axis of SI values in the unit of a measure."""
+    """Label an axis of SI values in the display unit of a measure."""
     factor = measure(key).factor
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v * factor:.4g}"))
 

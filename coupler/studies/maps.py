@@ -1,5 +1,5 @@
-"""Maps of a sweep: measures over diameter, velocity and temperature, interpolated by a Gaussian process over the logarithms of velocity
-and diameter, with their uncertainty (Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4)."""
+"""Maps of a sweep: measures over diameter, velocity and temperature, interpolated by a Gaussian process with its uncertainty (Rasmussen
+& Williams 2006, Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4). Velocity and diameter enter as logarithms."""
 
 from __future__ import annotations
 
@@ -25,28 +25,30 @@ from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
 from .sweep import point_name, set_key, toml_text
 
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
-FEWEST_VALUES = 4  # along each axis, of which a map is interpolated
+FEWEST_VALUES = 4  # along each axis, for an interpolation
 POINTS_PER_AXIS = 10  # Loeppky, Sacks & Welch (2009), Technometrics 51, 366
 FEWEST_IN_PLANE = 12  # points over two axes: three quarters of the smallest grid
-SPREAD = 0.25  # least over greatest singular value of the scaled points; of two axes a correlation of 0.88
-NARROW = 0.05  # width over middle of a bracket of the critical velocity that is not halved again
-FORMULAS = ("velocity_ratio",)  # measures that follow from the scene, without a run
-LONGEST = 3.0  # length of the interpolation over the range of an axis
+SPREAD = (
+    0.25  # least ratio of the smallest to the largest singular value of the scaled points; 0.25: a correlation of 0.88
+)
+NARROW = 0.05  # width over middle of a bracket of the critical velocity that is not divided again
+FORMULAS = ("velocity_ratio",)  # measures that follow from the scene without a run
+LONGEST = 3.0  # largest correlation length over the range of its axis
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
-DIGITS = 4  # of a new point
+DIGITS = 4  # of the coordinates of a new point
 _ALIKE = "all runs have the same inputs: vary at least one axis"
-Place = tuple[float, ...]  # values of the axes, SI
+Place = tuple[float, ...]  # a parameter point: values of the axes, SI
 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """A Gaussian process through the points of a map, over the columns `axes`.
+    """A Gaussian process through the points of a map, over the columns `axes`. Errors are in SI units of the quantity.
 
-    loo_rms: root mean square of the difference of each point from the prediction from all others; loo_inside: share of the points
-    that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
-    left out together, over the inner values of axes that have four or more, with two points each in the mean; spread: standard
-    deviation of the values. In units of the quantity. warnings: correlation lengths that the points do not resolve, in words. _hull:
-    (k,d+1) half spaces n, b with n x + b <= 0 inside the convex hull of the points; x (d,) is scaled by _centre and _scale.
+    loo_rms: root mean square error of predicting each point from all others (leave-one-out); loo_inside: share of the points inside
+    the 95 % band of this prediction; gap_rms: axis -> the same error if all points with one value of this axis are left out together.
+    It covers inner values only, of axes with at least four values and on average two points for each. spread: standard deviation of
+    the values; warnings: text on correlation lengths that the points do not resolve. _hull (k,d+1): half spaces n, b with
+    n x + b <= 0 inside the convex hull of the points; x (d,) is scaled by _centre and _scale.
     """
 
     axes: tuple[str, ...]
@@ -61,32 +63,32 @@ class Interpolation:
     _hull: NDArray
 
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units. The standard deviation
-        is for a new run at these values, its scatter included."""
+        """Mean and standard deviation, SI, at values of the axes (numbers, or arrays of one shape). The standard deviation is that of
+        a new run, with its scatter."""
         x, shape = self._scaled(at)
         mean, std = self._model.predict(x, return_std=True)
         return mean.reshape(shape), std.reshape(shape)
 
     def inside(self, *at: ArrayLike) -> NDArray:
-        """Whether values of the axes, each an array of one shape or a number in SI units, lie in the convex hull of the points."""
+        """Whether values of the axes (SI; numbers, or arrays of one shape) lie in the convex hull of the points."""
         x, shape = self._scaled(at)
         return np.all(x @ self._hull[:, :-1].T + self._hull[:, -1] <= 1e-9, axis=1).reshape(shape)
 
     def _scaled(self, at: Sequence[ArrayLike]) -> tuple[NDArray, tuple[int, ...]]:
-        """Points (n,d) in the scaled coordinates of model and hull, and the shape of the values of an axis."""
+        """Points (n,d) in the scaled coordinates of the model, and the shape of the given values."""
         points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
         flat = np.stack([value.ravel() for value in points], axis=1)
         return (_logs(flat, self.axes) - self._centre) / self._scale, points[0].shape
 
 
 def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
-    """Interpolate a column of the table over the axes that vary (or `axes`), from the rows that are done.
+    """Interpolate a column of the table over `axes` (default: the axes that vary), from the rows with status "done".
 
-    Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal likelihood.
-    A length lies between the distance of the points, `_distances`, and LONGEST times the range of the axis. Errors of leaving points
-    out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's neighbours of the same velocity nearly
-    determine it, so that only leaving them out too tests the interpolation. Raises StoreError where the points support no interpolation
-    (`sparse`) or the quantity is unknown.
+    Matern kernel (nu = 5/2) with a correlation length for each standardised axis, and white noise; the constants maximise the marginal
+    likelihood. A length lies between the distance of the points (`_distances`) and LONGEST times the range of its axis. Errors of
+    points that are left out: Rasmussen & Williams, eq. 5.12, without a new fit. On a grid the neighbours with the same velocity nearly
+    determine a point; gap_rms leaves them out too. Raises StoreError if the points do not support an interpolation (`sparse`) or the
+    quantity is unknown.
     """
     used = with_value(rows, quantity)
     names = tuple(axes) if axes is not None else varying(rows)
@@ -104,7 +106,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     bounds = list(zip(_distances(standard).tolist(), (LONGEST * ranges).tolist(), strict=True))
     kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(ranges.tolist(), bounds, nu=2.5) + WhiteKernel(1e-3, (1e-7, 1.0))
     model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=4, random_state=0)
-    with warnings.catch_warnings():  # what it says of lengths at their bounds is said in `told` in words
+    with warnings.catch_warnings():  # lengths at their bounds: `told` says so
         warnings.simplefilter("ignore", ConvergenceWarning)
         model.fit(standard, y)
     lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
@@ -129,9 +131,8 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
 
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
-    """Why the points of rows support no interpolation over the axes, in words; "" where they support it. Each axis has FEWEST_VALUES
-    values or more. Over several axes there are FEWEST_IN_PLANE or POINTS_PER_AXIS for each, and do not lie near one line or plane
-    (SPREAD)."""
+    """Why the points do not support an interpolation over the axes; "" if they do. Each axis needs FEWEST_VALUES values. Two axes need
+    FEWEST_IN_PLANE points, more axes POINTS_PER_AXIS for each, and the points must not lie near one line or plane (SPREAD)."""
     x = np.array([[row[axis] for axis in axes] for row in rows], float).reshape(-1, len(axes))
     counts = {axis: len(np.unique(column)) for axis, column in zip(axes, x.T, strict=True)}
     few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
@@ -153,21 +154,21 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
 
 
 def _distances(standard: NDArray) -> NDArray:
-    """The distance that points (n,d) resolve along each axis, (d,): that below which a quarter of them have their nearest neighbour,
-    but not less than the smallest distance of two values of the axis."""
+    """The distance that points (n,d) resolve along each axis, (d,): the lower quartile of the distances to the nearest neighbour, at
+    least the smallest difference of two values of the axis."""
     places = np.unique(standard.round(9), axis=0)
     nearest = float(np.quantile(KDTree(places).query(places, k=2)[0][:, 1], 0.25))
     return np.array([max(float(np.diff(np.unique(column)).min()), nearest) for column in places.T])
 
 
 def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
-    """The rows that are done and have a number of the quantity."""
+    """The rows with status "done" and a number for the quantity."""
     return [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
 
 
 def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
-    """The rows that are done, in the order of an axis, divided where the verdict changes from one value to the next. A value whose rows
-    differ in their verdict counts as undecided."""
+    """The rows with status "done", sorted by an axis and divided where the verdict changes between neighbouring values. A value whose
+    rows have different verdicts counts as undecided."""
     done = sorted((row for row in rows if row["status"] == "done"), key=lambda row: row[axis])
     divided: list[tuple[str, list[Row]]] = []
     for _, group in itertools.groupby(done, key=lambda row: row[axis]):
@@ -181,8 +182,8 @@ def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
 
 
 def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Place, str, str]]:
-    """Neighbouring places between which the verdict changes, and both verdicts; the widest first, those narrower than NARROW left out.
-    An undecided run counts as one. Axes in SI units."""
+    """Pairs of neighbouring points between which the verdict changes, with both verdicts; the widest first, without pairs closer than
+    NARROW. "undecided" counts as a verdict."""
     at: dict[Place, list[Row]] = {}
     for row in rows:
         if row.get("verdict") in (STICKS, REBOUNDS, UNDECIDED) and all(row[axis] is not None for axis in axes):
@@ -198,14 +199,14 @@ def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Plac
 
 
 def _common_verdict(rows: Sequence[Row]) -> str:
-    """The verdict of rows of one place; undecided where they differ."""
+    """The verdict of rows of one parameter point; undecided if they differ."""
     words = {str(row.get("verdict") or "") for row in rows}
     return words.pop() if len(words) == 1 else UNDECIDED
 
 
 def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[float, Place, Place]]:
-    """Neighbouring places (Gabriel graph): no third place lies in the sphere whose diameter joins the two. On a grid these are the
-    neighbours along the axes. Returns (distance, a, b), a < b; for the distance each axis is scaled to 0..1."""
+    """Neighbouring points (Gabriel graph): the sphere whose diameter is the line between the two contains no third point. On a grid
+    these are the neighbours along the axes. Returns (distance, a, b), a < b; for the distance each axis is scaled to 0..1."""
     places = sorted(places)
     logs = _logs(np.array(places, float).reshape(-1, len(axes)), axes)
     if len(logs) < 2:
@@ -223,8 +224,8 @@ def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[floa
 
 @dataclass(frozen=True)
 class NextPoint:
-    """at: the next point to compute, axis -> SI value, empty if there is none; why: the reason in words, empty for the midpoint of the
-    two neighbours whose values differ most."""
+    """at: the next point to compute, axis -> SI value, empty if there is none; why: the reason, "" for the midpoint of the two
+    neighbours whose values differ most."""
 
     at: dict[str, float]
     why: str = ""
@@ -268,9 +269,9 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
 def best_point(
     rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
 ) -> tuple[NextPoint, Interpolation | None, str]:
-    """The next point (`next_point`); the interpolation of the quantity, None where the points do not support one; and the reason why
-    not, in words. axes: by default all of AXES that vary. Of one axis none is fitted across a change of the verdict, where a measure
-    can jump: `sides`."""
+    """The next point (`next_point`); the interpolation of the quantity, None if the points do not support one; the reason for None.
+    axes: by default those of AXES that vary. Over one axis there is no interpolation across a change of the verdict, where a
+    measure can jump (`sides`)."""
     used = with_value(rows, quantity)
     names = tuple(axes) or varying([row for row in rows if row["status"] == "done"])
     if not names:
@@ -288,25 +289,25 @@ def best_point(
 
 
 def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
-    """A value (SI) of a measure or an axis for people: "velocity 670.8 m/s"; named: with its short name."""
+    """A value (SI) of a measure or an axis in its display unit: "velocity 670.8 m/s"; named: with its short name."""
     m = measure(key)
     return f"{m.short + ' ' if named else ''}{value * m.factor:.{digits}g} {m.unit}".rstrip()
 
 
 def place_words(at: Mapping[str, float]) -> str:
-    """A point of the map in words."""
+    """A parameter point as text."""
     return ", ".join(shown(axis, value) for axis, value in at.items())
 
 
 def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
-    """The middle of two places, on each axis, to DIGITS where they differ."""
+    """The middle of two points on each axis, rounded to DIGITS where they differ."""
     middles = ((p * q) ** 0.5 if axis in LOGARITHMIC else 0.5 * (p + q) for p, q, axis in zip(a, b, axes, strict=True))
     return tuple(p if p == q else float(f"{m:.{DIGITS}g}") for p, q, m in zip(a, b, middles, strict=True))
 
 
 def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
-    """Run the scene of the nearest finished point, changed to the place `at`, as a new point of the folder. Returns its name. The
-    target keeps its ratio to the particle's diameter where it has one ratio in all points. Raises StoreError."""
+    """Run a new point of the folder: the scene of the nearest finished point with the values `at` (SI) of its axes. Returns its name.
+    The ratio of target to particle diameter is kept if it is the same in all points. Raises StoreError."""
     done = [row for row in rows if row["status"] == "done"]
     spread = {axis: float(np.ptp([row[axis] for row in done])) or 1.0 for axis in at}
     near = min(done, key=lambda row: sum(abs(row[axis] - value) / spread[axis] for axis, value in at.items()))
@@ -330,7 +331,7 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
 
 
 def varying(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The axes with more than one value among the rows."""
+    """Those of AXES that have more than one value in the rows."""
     return tuple(axis for axis in AXES if len({row[axis] for row in rows if row[axis] is not None}) > 1)
 
 
@@ -340,6 +341,6 @@ def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
 
 
 def _unit(logs: NDArray) -> NDArray:
-    """Points (n,d) scaled to 0..1 over their least and greatest."""
+    """Points (n,d), scaled to 0..1 on each axis."""
     low, high = logs.min(axis=0), logs.max(axis=0)
     return (logs - low) / np.where(high > low, high - low, 1.0)

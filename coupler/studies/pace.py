@@ -1,5 +1,5 @@
-"""The speed of this machine, measured once (`timing.measure`) and kept in the user's cache folder: a factor on the costs of
-`coupler.plan.cost`, whose constants were fitted on another one."""
+"""The speed of this machine as a factor on the costs of `coupler.plan.cost`, whose constants are those of another machine. It is
+measured once (`timing.measure`) and stored in the cache folder of the user."""
 
 import json
 import platform
@@ -19,25 +19,24 @@ from ..files.provenance import processor
 from ..plan.forecast import forecast
 from ..plan.model import Plan
 
-FACTORS = (0.05, 50.0)  # limits of what is accepted
+FACTORS = (0.05, 50.0)  # limits of a factor
 
 
 @dataclass(frozen=True)
 class Pace:
-    """factor: time on this machine over the time by the constants of `plan.cost`; source: its origin, for messages."""
+    """factor: time on this machine over the time from the constants of `plan.cost`; source: its origin, for messages."""
 
     factor: float
     source: str
 
     def seconds(self, plan: Plan) -> float:
-        """Processor time of a plan in one thread here, s."""
+        """Processor time of a plan in one thread on this machine, s."""
         return self.factor * forecast(plan).whole
 
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
-    """The pace of this machine, from the cache or measured now (some seconds; half a minute where kernels have to be compiled).
-    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impact cannot be computed the factor
-    is 1 and `source` has the reason."""
+    """The pace of this machine. measure: `timing.measure`; it is called if the cache has no entry, and with `anew`. It takes some
+    seconds, or half a minute if kernels have to be compiled. If it fails the factor is 1, and `source` has the reason."""
     path, key = user_folder() / "pace.json", machine()
     known = _read(path)
     if anew or key not in known:
@@ -46,19 +45,19 @@ def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
         except (ColdsprayError, ImportError, OSError) as error:
             return Pace(1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
         known[key] = {"factor": factor, "date": date.today().isoformat()}
-        with suppress(OSError, StoreError):  # the cache may be in a folder that cannot be written
+        with suppress(OSError, StoreError):  # the folder may be read-only
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, json.dumps(known, indent=1))
     return Pace(known[key]["factor"], f"timed on {known[key]['date']} (--recalibrate repeats it)")
 
 
 def machine() -> str:
-    """The key of this machine in the cache: its name, its processor, the program's version."""
+    """The key of this machine in the cache: name, processor, version of the program."""
     return " | ".join((platform.node(), processor(), __version__))
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """The entries of the cache by machine, "factor" and "date" of each; none if the file is missing or damaged."""
+    """The entries of the cache: machine -> {"factor", "date"}; empty if the file is missing or damaged."""
     with suppress(StoreError, LookupError, TypeError, ValueError):
         known: dict[str, Any] = read_json_object(path)
         timed = ((name, float(entry["factor"]), str(entry["date"])) for name, entry in known.items())

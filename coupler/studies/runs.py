@@ -1,8 +1,8 @@
-"""Points of a study: many scenes, each a run in its own folder, wherever an executor computes them.
+"""Many scenes, each run in its own folder, by any executor: the one way in which all studies compute.
 
-OUT/<point>.toml is the scene, OUT/<point>/ the folder of its `coldspray run`, OUT/<point>.json how that ended. A point that
-has its .json is finished with, well or badly; one that has not is run, or gone on with. So a study that was killed is started
-again by the same command, whoever runs it: `run_points`, or workflows/Snakefile, whose rules call this file.
+OUT/<point>.toml is a scene, OUT/<point>/ the folder of its run, OUT/<point>.json its status once the run has ended. A point with a
+status is not computed again; a point without one is computed, or its run continues. A stopped study therefore continues with the
+same command.
 """
 
 import contextlib
@@ -20,28 +20,37 @@ from pathlib import Path
 
 from ..core.cores import cores
 from ..core.executors import executor, own_environment
-from ..core.signals import interrupted_by
 from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, read_json_object, read_text
 from ..files.outputs import claim_folder, write_text
+from ..files.result import Result
 from ..plan.reading import Scene
 from ..plan.text import duration
 
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+Log = Callable[[str], None]
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # a run that these end has no status: it continues later
 REFUSED = 2  # exit code of a run whose scene or folder is refused
-_STATUS = {0: "done", 4: "undecided"}  # by the exit code of a run; "failed" else
+_STATUS = {0: "done", 4: "undecided"}  # by exit code; all others: "failed"
 _running: set[subprocess.Popen[str]] = set()  # of this process
 
 
+def results(folder: Path, points: Mapping[str, str], jobs: int, log: Log) -> tuple[dict[str, Result], dict[str, str]]:
+    """Run the points of a folder as `run_points`. Returns the results by point, and for each point without one the reason."""
+    statuses = run_points(folder, points, jobs, log)
+    found = {point: Result(folder / point) for point, status in statuses.items() if status in _STATUS.values()}
+    reasons = {point: reason_of(folder, point) for point in statuses if point not in found}
+    return found, reasons
+
+
 def run_points(
-    folder: Path, points: Mapping[str, str], jobs: int = 1, log: Callable[[str], None] = print,
+    folder: Path, points: Mapping[str, str], jobs: int = 1, log: Log = print,
     refused: Mapping[str, str] | None = None, pool: Executor | None = None,
 ) -> dict[str, str]:  # fmt: skip
-    """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
+    """Run the points (name -> scene as TOML) of a folder that have no status yet. Returns the status of each.
 
-    A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. jobs: at a time, as
-    processes here that share its cores, unless an executor is given as `pool`, which is shut down. log: called with a line as each
-    point ends. refused: points whose scene cannot be computed -> why; they are marked as failed.
+    Status: "done", "undecided", "failed", or "stopped": the run is not finished and continues with the next call. A point that fails
+    does not stop the others. jobs: number of runs at the same time on this machine; they share its cores. pool: an executor to use
+    instead; it is shut down. log: receives a line when a point ends. refused: points whose scene is not valid -> reason; they fail.
     """
     folder = folder.resolve()
     pool = pool or executor("processes", max(jobs, 1), folder, starts_processes=True)
@@ -78,7 +87,7 @@ def run_points(
             log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}{after}")
     except BaseException:
         with contextlib.suppress(Exception), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that Parsl cannot cancel a run by itself: its jobs are cancelled
+            warnings.simplefilter("ignore")  # Parsl warns that it cannot cancel a run: its jobs are cancelled
             pool.shutdown(wait=False, cancel_futures=True)
         for run in list(_running):
             run.terminate()  # it writes a checkpoint
@@ -88,13 +97,14 @@ def run_points(
 
 
 def run_point(folder: Path, point: str, text: str, again: bool = False, threads: int = 1) -> dict[str, object]:
-    """Run a scene (TOML) as a point of a folder, unless it is finished; how it ended (`compute`). again: continue an undecided one."""
+    """Run a scene (TOML) as a point of a folder, unless it has a status. Returns its status as `compute`. again: continue a run that
+    is undecided."""
     ended = None if again else _kept(folder, point, text)
-    return compute(write_scene(folder, point, text), folder / f"{point}.json", threads) if ended is None else ended
+    return compute(write_scene(folder, point, text), threads) if ended is None else ended
 
 
 def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
-    """Stored end of a point of this scene; None if it has not ended, or was refused, which costs nothing to repeat."""
+    """Stored status of a point of this scene (TOML); None if it has none, or was refused: to repeat that costs nothing."""
     known, scene = folder / f"{point}.json", write_scene(folder, point, text)
     fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
     ended = how_ended(known) if fresh else None
@@ -105,16 +115,16 @@ def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
     """The points whose results in a folder belong to another scene (TOML)."""
     others = []
     for point, text in points.items():
-        scene, known = folder / f"{point}.toml", folder / f"{point}.json"
+        scene = folder / f"{point}.toml"
         if scene.is_file() and read_text(scene) != text:
-            ended = how_ended(known) if known.is_file() else None
+            ended = how_ended(folder / f"{point}.json")
             if (folder / point / "scene.toml").is_file() or (ended is not None and ended.get("exit_code") != REFUSED):
                 others.append(point)
     return others
 
 
 def write_scene(folder: Path, point: str, text: str) -> Path:
-    """The file of a point's scene, written unless it is there. Raises StoreError."""
+    """Write the scene (TOML) of a point, unless its file has this text. Returns the path. Raises StoreError."""
     path = folder / f"{point}.toml"
     if not path.is_file() or read_text(path) != text:
         claim_folder(folder, "sweep", [path.name], force=None)
@@ -122,10 +132,10 @@ def write_scene(folder: Path, point: str, text: str) -> Path:
     return path
 
 
-def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
-    """Run a scene into the folder of its name, or continue there; write how it ended to `status` and return it. {"status": "done",
-    "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises InterruptedRunError
-    and leaves no status, so that the next attempt continues it."""
+def compute(scene: Path, threads: int = 1) -> dict[str, object]:
+    """Run a scene into the folder of its name, or continue the run there. Writes its status to the .json file of its name and returns
+    it: {"status": "done", "undecided" or "failed", "reason": message, "exit_code": int}. Raises InterruptedRunError, without a status,
+    if the run is stopped from outside: the next call continues it."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     _wait_for(folder)
@@ -144,23 +154,12 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
     if code in {*(-number for number in STOPS), *(128 + number for number in STOPS)}:
         raise InterruptedRunError(f"the run in {folder} was stopped; the same command continues it")
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
-    write_text(status, json.dumps(ended, indent=1) + "\n")
+    write_text(scene.with_suffix(".json"), json.dumps(ended, indent=1) + "\n")
     return ended
 
 
-def main(arguments: list[str]) -> int:
-    """`python -m coupler.studies.runs SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
-    scene, status = map(Path, arguments)
-    with interrupted_by(*STOPS):
-        try:
-            print(f"{scene.stem}: {status_text(compute(scene, status))}")
-        except (KeyboardInterrupt, InterruptedRunError):
-            return 128 + signal.SIGTERM
-    return 0
-
-
 def _wait_for(folder: Path) -> None:
-    """Wait until no other process writes to the folder: a run of a sweep whose main process was killed may continue to its end."""
+    """Wait until no other process writes to the folder: a run may continue after the main process of its study was killed."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
@@ -184,7 +183,7 @@ def _command(scene: Path, folder: Path, threads: int) -> list[str]:
 
 
 def _reason(code: int, errors: str) -> str:
-    """The message of a run that failed or is undecided: from its last line with the program's name, or the signal that killed it."""
+    """Why a run failed or is undecided: its message on standard error, or the signal that killed it."""
     if code == 0:
         return ""
     if code < 0:
@@ -195,7 +194,7 @@ def _reason(code: int, errors: str) -> str:
 
 
 def how_ended(path: Path) -> dict[str, object] | None:
-    """How a point ended; None if its file is damaged."""
+    """The status in a .json file (`compute`); None if it is missing or damaged."""
     try:
         ended = read_json_object(path)
     except InputError:
@@ -203,11 +202,12 @@ def how_ended(path: Path) -> dict[str, object] | None:
     return ended if isinstance(ended.get("status"), str) else None
 
 
+def reason_of(folder: Path, point: str) -> str:
+    """Why a point of a folder has no result."""
+    return str((how_ended(folder / f"{point}.json") or {}).get("reason") or "it was stopped")
+
+
 def status_text(ended: Mapping[str, object]) -> str:
-    """How a point ended, in words."""
+    """A status as text: "done", "failed: its reason"."""
     status, reason = str(ended["status"]), str(ended.get("reason") or "")
     return f"{status}: {reason.removeprefix(f'{status}: ')}" if reason else status
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

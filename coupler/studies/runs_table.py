@@ -1,4 +1,4 @@
-"""The runs of a folder as a table: material, axes, status and measures of each, without a solver."""
+"""The runs of a folder as a table: material, axes, status and measures of each run, read from its files."""
 
 import contextlib
 import re
@@ -17,42 +17,43 @@ from ..plan.record import read_plan
 from .runs import how_ended
 from .table import write_rows
 
-AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
+AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # the first two that vary become x and y of a map
 # key of a scene -> axis
 KEYS = dict(zip(("particle.velocity", "particle.diameter", "particle.temperature"), AXES, strict=True))
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
-ERRORS = tuple(f"{key}_error" for key in MEASURES if key in CONVERGING)  # of runs that measure them
+ERRORS = tuple(f"{key}_error" for key in MEASURES if key in CONVERGING)
 COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
 STATUSES = ("done", "undecided", "failed", "unfinished")
-LARGEST = 1e30  # a measure beyond it is damage
+LARGEST = 1e30  # a measure with a larger magnitude counts as damaged
 Row = dict[str, Any]
 
 
 def table(folder: str | Path) -> list[Row]:
-    """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
+    """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, sorted by material and axes.
 
-    status: "done", "failed" or "undecided" (then `reason` says why), or "unfinished"; measures, as in the summaries, of points
-    that are not done are missing; of several impacts the measures of the last. keys: every number of its scene by its key, SI units;
-    units: as the scene writes them. verdict: of the run; version: of the program that computed it. Raises StoreError if
-    the folder is not there or holds no point.
+    status: one of STATUSES; `reason` explains "failed" and "undecided". Measures are those of the summary, of the last impact; runs
+    that are not finished have none. keys: every number of the scene by its key, SI units; units: the units in which the scene gives
+    them. verdict: of the run; version: of the program that computed it. Raises StoreError if the folder does not exist or has no point.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise StoreError(f"{folder} is not a folder of runs")
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
     names |= {path.stem for path in folder.glob("*.toml") if "particle" in _scene_of(path)}
-    if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # of a study, with its scene beside
-        raise StoreError(f"{folder} has no runs of its own: name {inner}, which has them")
+    if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # the folder of a study
+        raise StoreError(f"{folder} has no runs: its runs are in {inner}, give that folder")
     rows = [_readable_row(folder, name) for name in names]
     if not rows:
-        raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
+        raise StoreError(
+            f"{folder} holds no points of a sweep and no runs: give the folder that holds the folders of runs"
+        )
     return sorted(rows, key=lambda row: (row["material"], *(row[axis] or 0.0 for axis in AXES[::-1]), row["point"]))
 
 
 def _readable_row(folder: Path, name: str) -> Row:
-    """The row of a point; a point whose files cannot be read counts as failed, and does not end the map."""
+    """The row of a point. A point whose files cannot be read counts as failed."""
     try:
         with reading(folder / name):
             return _row(folder, name)
@@ -62,7 +63,7 @@ def _readable_row(folder: Path, name: str) -> Row:
 
 
 def _row(folder: Path, name: str) -> Row:
-    """The row of a point: from its plan, its end status and its summary."""
+    """The row of a point, from its status, plan and summary."""
     scene, run = scene_file(folder, name), folder / name
     row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": "", "keys": {}, "units": {}}
     row |= _as_written(scene)
@@ -85,13 +86,13 @@ def _row(folder: Path, name: str) -> Row:
 
 
 def scene_file(folder: Path, name: str) -> Path:
-    """The scene of a point: beside its run, or in it."""
+    """The file of the scene of a point: beside the folder of its run, else in that folder."""
     beside = folder / f"{name}.toml"
     return beside if beside.is_file() else folder / name / "scene.toml"
 
 
 def scene_numbers(scene: Mapping[str, object]) -> Iterator[tuple[str, float, str]]:
-    """The numbers of a scene: key, such as "contact.friction", "particle[2].velocity" or "particle.offset[1]", value (SI) and unit."""
+    """The numbers of a scene as (key, value in SI, unit). Keys: "contact.friction", "particle[2].velocity", "particle.offset[1]"."""
     for key, leaf in leaves(scene):
         several = isinstance(leaf, list)
         for number, value in enumerate(leaf if isinstance(leaf, list) else [leaf], 1):
@@ -104,8 +105,8 @@ def scene_numbers(scene: Mapping[str, object]) -> Iterator[tuple[str, float, str
 
 
 def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
-    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of, that
-    is named twice, or in which the points do not differ."""
+    """Add keys of the scene to the rows as axes. Returns their names in the rows. Raises StoreError for a key that has no number in
+    any scene, that is given twice, or that has one value in all points."""
     names = []
     for key in keys:
         name = KEYS.get(key, key)
@@ -118,13 +119,13 @@ def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
         if len(rows) > 1 and len({row[name] for row in rows}) == 1:
             raise StoreError(f"--axes {key}: all {len(rows)} points have the same value of this key; leave it out")
         if name in names:
-            raise StoreError(f"--axes {key}: it is named twice; name each axis once")
+            raise StoreError(f"--axes {key}: this key is given twice; give each axis once")
         names.append(name)
     return tuple(names)
 
 
 def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
-    """Keys of the scene that differ between points which are equal on the axes."""
+    """Keys of the scene, other than the axes, that differ between points with the same values of the axes."""
     seen: dict[tuple[float, ...], dict[str, float]] = {}
     different: dict[str, None] = {}
     for row in rows:
@@ -139,19 +140,19 @@ def counts(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _number(value: object) -> float | None:
-    """A measure; None where a summary has no number, or one that no run gives."""
+    """A measure of a summary; None if it is no number, or larger than LARGEST."""
     return value if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
 def _scene_of(path: Path) -> dict[str, Any]:
-    """The tables of a file, none where it cannot be read."""
+    """The tables of a TOML file; empty if it cannot be read."""
     with contextlib.suppress(StoreError):
         return read_toml(path)
     return {}
 
 
 def _as_written(path: Path) -> Row:
-    """Material and axes as a scene says them, so far as they can be read."""
+    """Material and axes from the file of a scene, as far as they can be read."""
     row, data = dict[str, Any](material="", substrate=""), _scene_of(path)
     with contextlib.suppress(ValueError, LookupError, TypeError):
         row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
@@ -161,12 +162,13 @@ def _as_written(path: Path) -> Row:
 
 
 def write_table(rows: Iterable[Row], path: Path, about: str = "", axes: Sequence[str] = ()) -> None:
-    """The rows as CSV; about: a first line after "# "; axes: columns beside COLUMNS and ERRORS that runs have. Raises StoreError."""
+    """Write the rows as CSV. about: the first line, after "# "; axes: further columns. Columns of ERRORS are written if a run has them.
+    Raises StoreError."""
     rows = list(rows)
     measured = (name for name in ERRORS if any(row.get(name) is not None for row in rows))
     write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS), *measured), rows, about)
 
 
 def errors_of(rows: Iterable[Row], name: str) -> list[float]:
-    """The errors of a measure, of the rows that are done and have one."""
+    """The errors of a measure, SI, from the rows with status "done" that have one."""
     return [row[f"{name}_error"] for row in rows if row["status"] == "done" and row.get(f"{name}_error") is not None]

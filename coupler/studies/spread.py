@@ -1,8 +1,8 @@
-"""What a choice of the model changes: a scene with other strength sets or coefficients of friction, a coating with other seeds."""
+"""Influence of a choice of the model: a scene with the other strength sets of its metals, or with other coefficients of friction."""
 
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import ColdsprayError
@@ -12,16 +12,17 @@ from ..physics import materials
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..report.words import errors_of, shown
-from .runs import run_points
+from .runs import Log, results
 from .table import in_columns
 
-# Coulomb's coefficient: no friction, and sticking: at a pressure of the flow stress more would shear the metal (von Mises; Johnson &
-# Mellor 1973, Engineering plasticity)
+# Coulomb's coefficient: no friction, and sticking. At a contact pressure equal to the flow stress, a higher coefficient would shear the
+# metal itself (von Mises; Johnson & Mellor 1973, Engineering plasticity).
 FRICTIONS = (0.0, round(1.0 / math.sqrt(3.0), 3))
 
 
 def other_frictions(scene: Scene) -> dict[str, str]:
-    """Name, such as "friction 0" -> the scene (TOML) with this coefficient of FRICTIONS; none where its effects leave friction out."""
+    """Name, such as "friction 0" -> the scene (TOML) with this coefficient of FRICTIONS. Empty if the effects of the scene exclude
+    friction."""
     data = tomllib.loads(scene.to_toml())
     scenes = {
         f"friction {mu:g}": Scene.from_dict({**data, "contact": {"friction": mu}}, scene.name) for mu in FRICTIONS
@@ -32,8 +33,8 @@ def other_frictions(scene: Scene) -> dict[str, str]:
 
 
 def other_sets(scene: Scene) -> dict[str, str]:
-    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this set of one of its metals in place of its own. A metal whose law
-    is the scene's own has no other."""
+    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this strength set for one of its metals. A metal whose law is given in
+    the scene has no other set."""
     data = tomllib.loads(scene.to_toml())
     scenes = {}
     for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
@@ -51,14 +52,15 @@ def other_sets(scene: Scene) -> dict[str, str]:
     return scenes
 
 
-def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Callable[[str], None]) -> dict[str, Result]:
-    """Run the scenes in a folder, `jobs` at a time, unless they are there. Results by name, without those that fail."""
-    points = {name: name.replace(" ", "_") for name in scenes}
-    statuses = run_points(folder, {points[name]: text for name, text in scenes.items()}, jobs, log)
-    return {name: Result(folder / point) for name, point in points.items() if statuses[point] == "done"}
+def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Log) -> dict[str, Result]:
+    """Run the scenes (name -> TOML) in a folder, `jobs` at the same time. Returns the results by name, without runs that fail or are
+    undecided."""
+    found, _ = results(folder, {name.replace(" ", "_"): text for name, text in scenes.items()}, jobs, log)
+    decided = {point: result for point, result in found.items() if result.undecided is None}
+    return {name: decided[point] for name in scenes if (point := name.replace(" ", "_")) in decided}
 
 
-#: choice of the model, and folder of its runs in that of the run -> the other scenes, and why there are none
+# choice of the model, which names the folder of its runs -> the function that makes the other scenes, message if there are none
 SPREADS = {
     "strength": (other_sets, "the library has no other strength set for the metals of this scene"),
     "friction": (other_frictions, "the effects of this scene leave friction out"),
@@ -66,7 +68,7 @@ SPREADS = {
 
 
 def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
-    """The measures of a run beside the least and the greatest of the others, as lines."""
+    """Text lines: each measure of a run with its least and greatest value in the other runs, and the verdicts of these."""
     rows: list[tuple[str, ...]] = [("", "this run", "least", "most", "")]
     errors = errors_of(result.summary)
     for key in CONVERGING:

@@ -1,4 +1,4 @@
-"""A sweep: one scene, some of its keys varied over a full grid, a list of points or a quasi-random ensemble."""
+"""A sweep: one scene with some keys varied, over a full grid, a list of points or a quasi-random ensemble."""
 
 import copy
 import itertools
@@ -18,13 +18,13 @@ from ..scene.model import safe_name
 from ..scene.toml import set_key
 from ..units import UnitError, nearest, parse, rounded
 from .ensemble import Distribution, distribution_of, draws
-from .runs import run_points, write_scene
+from .runs import run_points
 
 MOST_POINTS = 10_000
 SUBSTRATE = {"diameter": 8.0, "height": 4.0}  # over the particle's diameter: 200 x 100 um for 25 um
 SHORT = {name: f"particle.{name}" for name in ("material", "diameter", "velocity", "temperature")}
 _KEYS = ("name", "points", "ensemble", "scene", "target")
-# problems of a scene that do not depend on its other keys, nor on a limit
+# problems of a scene that depend neither on its other keys nor on a limit: the file of the sweep is wrong
 _MISWRITTEN = re.compile(
     r"\S+( = .*)?(: unknown|: expected| has no unit| has an unknown unit| is an? | is not | needs )"
 )
@@ -34,9 +34,8 @@ Settings = dict[str, object]  # key of a scene -> value
 
 @dataclass(frozen=True)
 class Sweep:
-    """The points of a sweep. name: of the folder runs/<name>; points: name of each -> its scene as TOML. varied: the keys that differ
-    between points. is_ensemble: they are drawn from distributions. refused: points whose scene cannot be computed -> why. They are
-    marked as failed, not left out."""
+    """The points of a sweep. name: the runs are in runs/<name>; points: name -> scene as TOML; refused: points whose scene is not valid
+    -> reason (they count as failed); varied: keys that differ between points; is_ensemble: values are drawn from distributions."""
 
     name: str
     points: dict[str, str]
@@ -56,13 +55,12 @@ class Sweep:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], source: str = "sweep") -> "Sweep":
-        """A sweep from nested dicts, as TOML has them. Raises SceneError with every problem of it.
+        """A sweep from nested dicts, as TOML gives them. Raises SceneError with every problem.
 
-        data["scene"]: the scene as a table, or the name of its file, relative to `source`. data["points"]: a table of lists, all
-        combined, or a list of tables, each a point, by key of the scene, such as particle.velocity; material, diameter, velocity,
-        temperature are those of the particle. data["ensemble"]: `runs`, `seed` and distributions by key
-        (`ensemble.distribution_of`). data["target"]: diameter and height, over the particle's
-        diameter, of a target whose scene has none.
+        data["scene"]: the scene as a table, or the name of its file, relative to `source`. data["points"]: keys of the scene, such as
+        particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter, velocity
+        and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key
+        (`ensemble.distribution_of`). data["target"]: diameter and height over the diameter of the particle, for a scene without them.
         """
         problems = [
             f"{key}: unknown key{nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in data if key not in _KEYS
@@ -107,20 +105,16 @@ class Sweep:
             raise SceneError([f"no point can be computed; the first: {problem}" for problem in first.problems], source)
         return cls(str(name), scenes, refused, varied, is_ensemble)
 
-    def write(self, out: str | Path, point: str) -> Path:
-        """Write the scene of a point into `out`, unless it is there. Returns its path. Raises StoreError."""
-        return write_scene(Path(out), point, self.points[point])
-
     def run(self, out: str | Path | None = None, jobs: int = 1, pool: Executor | None = None) -> Path:
-        """Run every point that has not been, each on one core. Returns the folder, runs/<name> by default. jobs: at a time, as
-        processes here, unless an executor is given as `pool`, which is shut down. Raises as `run_points`."""
+        """Run the points as `run_points`. out: folder, runs/<name> by default. jobs: number of runs at the same time on this machine;
+        pool: an executor to use instead; it is shut down. Returns the folder."""
         folder = Path(out) if out is not None else Path("runs") / self.name
         run_points(folder, self.points, jobs, refused=self.refused, pool=pool)
         return folder
 
 
 def point_name(point: Mapping[str, object]) -> str:
-    """A point's name from its settings: {"particle.material": "Ni", "particle.velocity": "500 m/s"} is "Ni_500ms"."""
+    """Name of a point from its settings: {"particle.material": "Ni", "particle.velocity": "500 m/s"} gives "Ni_500ms"."""
     words = []
     for key, value in point.items():
         text = value if isinstance(value, str) else json.dumps(value)
@@ -130,7 +124,7 @@ def point_name(point: Mapping[str, object]) -> str:
 
 
 def toml_text(table: Mapping[str, object], above: str = "") -> str:
-    """Nested dicts as lines of dotted keys."""
+    """Nested dicts as TOML, a line with a dotted key for each value."""
     lines = ""
     for key, value in table.items():
         name = above + _toml_key(key)
@@ -161,26 +155,26 @@ def _base(scene: object, source: str, problems: list[str]) -> Table:
         base = dict(scene)
     else:
         problems.append('scene: expected a table [scene], or the file of a scene, as scene = "single.toml"')
-    if "library" in base:  # which a point may name any metal of
+    if "library" in base:  # a point may use any of its metals
         problems += with_library(base, source)
     return base
 
 
 def _ratios(target: object, problems: list[str]) -> dict[str, float]:
-    """Diameter and height of the target over the particle's diameter."""
+    """Diameter and height of the target over the diameter of the particle: SUBSTRATE with the values of `target`."""
     ratios = dict(SUBSTRATE)
     for key, value in target.items() if isinstance(target, Mapping) else [("", None)]:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if key in SUBSTRATE and is_number and 1.0 <= float(str(value)) <= 1000.0:
             ratios[key] = float(str(value))
         else:
-            expected = "diameter and height of the target over the particle's diameter, 1 to 1000"
+            expected = "diameter and height of the target over the diameter of the particle, 1 to 1000"
             problems.append(f"target.{key}: expected {expected}")
     return ratios
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """Nested tables as one table of dotted keys of a scene; a distribution counts as a value."""
+    """(dotted key of a scene, value) for each value in nested tables; a distribution counts as a value."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
         if isinstance(value, Mapping) and not Distribution.is_table(value):
@@ -190,7 +184,7 @@ def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
 
 
 def _points(points: object, problems: list[str]) -> list[Settings]:
-    """The settings of each point: of a list of tables, or all combinations of a table of lists."""
+    """The settings of each point, from a list of tables, or from all combinations of a table of lists."""
     if isinstance(points, list):
         if not all(isinstance(point, Mapping) for point in points):
             problems.append("points: expected tables [[points]], each with keys of the scene")
@@ -214,7 +208,7 @@ def _points(points: object, problems: list[str]) -> list[Settings]:
 
 
 def _ensemble(table: object, problems: list[str]) -> list[Settings]:
-    """The settings of each run of an ensemble."""
+    """The settings of each run of an ensemble, drawn from its distributions."""
     if not isinstance(table, Mapping):
         problems.append("ensemble: expected a table [ensemble]")
         return []
@@ -241,7 +235,8 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
 
 
 def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
-    """The scene of a point. Raises ValueError for an unknown key."""
+    """The scene of a point: the base with its settings, and a size of the target if it has none. Raises ValueError for a key that leads
+    nowhere."""
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)
@@ -250,7 +245,7 @@ def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
     try:
         size = parse(diameter, "length")
     except UnitError:
-        return scene  # reported by the check of the scene
+        return scene  # the check of the scene reports it
     for side, ratio in ratios.items():
         substrate = scene.setdefault("substrate", {})
         if isinstance(substrate, dict) and side not in substrate:

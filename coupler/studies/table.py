@@ -1,4 +1,4 @@
-"""Tables of studies: CSV files whose rows are kept, each with the version of the program that computed it."""
+"""Tables of studies as CSV files; each row has the version of the program that computed it."""
 
 import csv
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -13,9 +13,9 @@ Row = dict[str, str]
 
 
 class StudyTable:
-    """The rows of a study, kept in a CSV file that is rewritten with each new row. columns: of the file; `version` follows them. key:
-    the columns that identify a row. about: lines above the header; the first says how to remake the table. Raises StoreError for a file
-    with other columns; rows without a version get "unknown"."""
+    """The rows of a study in a CSV file, which is written again with each new row. columns: of the file; `version` follows them. key:
+    the columns that identify a row. about: lines above the header; the first gives the command that computes the table. Rows of a file
+    without versions get "unknown". Raises StoreError for a file with other columns."""
 
     def __init__(self, path: Path, columns: Sequence[str], key: Sequence[str], about: str):
         self.path, self.columns, self.key, self.about = path, (*columns, "version"), tuple(key), about
@@ -31,7 +31,7 @@ class StudyTable:
         return any(self._key_of(row) == key for row in self.rows)
 
     def add(self, row: Mapping[str, object]) -> Row:
-        """Add a row, in place of a row with the same key, with this program's version, and write the file."""
+        """Add a row with the version of this program, or replace the row with the same key, and write the file. Returns the row."""
         new = {name: cell(row.get(name, "")) for name in self.columns} | {"version": __version__}
         same = [k for k, old in enumerate(self.rows) if self._key_of(old) == self._key_of(new)]
         self.rows[same[0] if same else len(self.rows) :] = [new, *self.rows[same[0] + 1 :]] if same else [new]
@@ -58,14 +58,14 @@ def cell(value: object) -> str:
 
 
 def in_columns(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
-    """Rows of cells as lines of a terminal. right: the columns, from 0, that are set to the right."""
+    """Rows of cells as aligned lines for a terminal. right: indices of the right-aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     forms = [f"{{:{'>' if k in right else '<'}{width}}}" for k, width in enumerate(widths)]
     return ["  ".join(forms).format(*row).rstrip() for row in rows]
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a CSV file, lines that begin with # left out. Raises StoreError if it cannot be read."""
+    """The rows of a CSV file without the lines that begin with #. Raises StoreError if the file cannot be read."""
     text = read_text(path)
     try:
         return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))

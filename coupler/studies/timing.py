@@ -14,8 +14,8 @@ from ..plan import cost
 from ..plan.reading import Scene
 from .pace import FACTORS
 
-REPEATS = 2  # of the impact; the faster counts, for other work on the machine only ever adds to a time
-FEWEST_CHUNKS = 8  # of steps, for a median
+REPEATS = 2  # of the impact; the faster one counts, because other work on the machine only adds time
+FEWEST_CHUNKS = 8  # of time steps, for a median
 SMALL = """
 preset = "draft"
 [particle]
@@ -32,13 +32,13 @@ time = "8 ns"
 
 
 def measure() -> float:
-    """The factor of this machine, timed now in one thread. Raises SolverError if there was too little to time."""
+    """Measure the factor of this machine (`pace.Pace`) in one thread. Raises SolverError if the impact has too few steps."""
     low, high = FACTORS
     return min(max(min(_timed() for _ in range(REPEATS)), low), high)
 
 
 def _timed() -> float:
-    """Processor time of a step, the median over the chunks of steps, over the time by the constants of `plan.cost`."""
+    """Processor time of a step (median over chunks of steps) over the time from the constants of `plan.cost`."""
     marks: list[tuple[float, int]] = []
 
     def probe(impact: Any) -> None:

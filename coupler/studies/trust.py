@@ -1,4 +1,4 @@
-"""How far a number is to be trusted: green, amber or red, by the comparisons with laboratories for its kind of metal and speed."""
+"""Trust in a number: green, amber or red, from comparisons with experiments on the same kind of metal at a similar velocity."""
 
 import tomllib
 from collections.abc import Sequence
@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 GREEN, AMBER, RED = "green", "amber", "red"
 MARKS = (GREEN, AMBER, RED)  # from the best to the worst
-NEAR = 1.5  # ratio of two velocities up to which one says something about the other
+NEAR = 1.5  # ratio of two velocities up to which they count as similar
 RULE = (
-    "Green: all measured values for this kind of metal at such a speed are met. Amber: some of them; or none is measured, and at least"
-    " half of those of other metals and speeds are met. Red: all else."
+    "Green: the model agrees with all measurements on this kind of metal at a similar velocity. Amber: it agrees with some of them; or"
+    " there are none, and it agrees with at least half of the measurements on other metals and velocities. Red: all other cases."
 )
 
 
 class Comparison(NamedTuple):
-    """A comparison with a laboratory. kind: of metal; slowest, fastest: velocities of its impacts, m/s; apart: computed less measured
-    value, "no" where they agree within their errors."""
+    """A comparison with an experiment. kind: of metal; slowest, fastest: impact velocities, m/s; apart: computed minus measured value,
+    "no" if they agree within their errors."""
 
     kind: str
     slowest: float
@@ -26,7 +26,7 @@ class Comparison(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """colour: of MARKS; why: the comparisons that it rests on, in words."""
+    """colour: one of MARKS; why: the comparisons that decide it, as text."""
 
     colour: str
     why: str
@@ -34,7 +34,7 @@ class Mark(NamedTuple):
 
 @cache
 def table() -> dict[str, Any]:
-    """The comparisons of docs/evidence/how_good.md, quantity -> case -> Comparison, and under "kinds" the metals of each kind."""
+    """The comparisons of docs/evidence/how_good.md: quantity -> case -> Comparison; and "kinds": kind -> its metals."""
     raw = tomllib.loads((files(__package__) / "comparisons.toml").read_text(encoding="utf-8"))
     return {"kinds": raw.pop("kinds")} | {
         quantity: {case: Comparison(*row) for case, row in cases.items()} for quantity, cases in raw.items()
@@ -42,8 +42,9 @@ def table() -> dict[str, Any]:
 
 
 def mark(quantities: Sequence[str], metal: str, velocity: float, base: str = "") -> Mark:
-    """The mark of a number that rests on some quantities, the worst of theirs. metal: of the powder, in the library; velocity: of
-    impact, m/s; base: another metal below, of which no critical velocity is measured: green is then amber. Nothing known is red."""
+    """The mark of a number: the worst mark of the quantities that it depends on; red without quantities. metal: of the powder, in the
+    library; velocity: of impact, m/s; base: metal of the substrate. If it differs from `metal` green becomes amber, because no critical
+    velocity is measured for such pairs."""
     each = [_mark(quantity, metal, velocity) for quantity in quantities]
     if not each:
         return Mark(RED, "not compared with measurements")

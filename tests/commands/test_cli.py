@@ -390,7 +390,7 @@ def test_quiet_progress_says_nothing():
         (["critical", "one.toml", "--high", "99999 m/s"], "--high 99999 m/s: is outside 10 m/s to 2000 m/s"),
         (["critical", "one.toml", "--repeat", "1000000"], "1000000 is too many: 100 at most"),
         (["run", "one.toml", "--threads", "0"], "'0' is not a whole number above zero"),
-        (["map", "single"], "is the folder of a single run: name the folder that holds several"),
+        (["map", "single"], "is the folder of a single run: give a folder that holds several"),
         (["report", "ressults"], 'is not a folder of results (did you mean "results"?)'),
         (["report", "one.toml"], "is not a folder of results; a scene's results are in runs/NAME"),
     ],

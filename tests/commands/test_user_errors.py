@@ -26,7 +26,7 @@ from coupler.measures import STICKS
 from coupler.physics.adhesion import PairFormula
 from coupler.plan.planning import plan
 from coupler.spray.window import Spray
-from coupler.studies.runs import of_another_scene
+from coupler.studies.runs import of_another_scene, write_scene
 from coupler.studies.sweep import Sweep
 
 COATING = """[coating]
@@ -103,7 +103,7 @@ def test_a_band_of_efficiency_holds_the_efficiency() -> None:
 def test_more_time_needs_a_finished_run_with_a_checkpoint(shared_run: SharedRuns, tmp_path: Path) -> None:
     copy = shutil.copytree(shared_run(scenes.SHORT).directory, tmp_path / "run")
     checkpoint.clear(copy)
-    with pytest.raises(CheckpointError, match="has no checkpoint to go on from"):
+    with pytest.raises(CheckpointError, match="has no checkpoint: --until cannot continue it"):
         resume(copy, until=20e-9, quiet=True)
     (copy / "summary.json").unlink()
     with pytest.raises(CheckpointError, match="is not finished: resume it without --until first"):
@@ -177,7 +177,7 @@ def test_a_changed_sweep_does_not_replace_what_is_there(tmp_path: Path, capsys: 
     """Points of the same names, of another substrate."""
     one = Sweep.from_dict(points(diameter=["25 um"]))
     for name in one.points:
-        one.write(tmp_path / "runs", name)
+        write_scene(tmp_path / "runs", name, one.points[name])
     pretend(tmp_path / "runs", next(iter(one.points)), flattening_ratio=0.5)
     other = points(diameter=["25 um"]) | {"scene": {"preset": "draft", "substrate": {"material": "Al"}}}
     changed = Sweep.from_dict(other)
@@ -193,13 +193,13 @@ def test_a_changed_sweep_does_not_replace_what_is_there(tmp_path: Path, capsys: 
     assert "--force" in said
     assert (tmp_path / "runs" / f"{next(iter(one.points))}.toml").read_text() == next(iter(one.points.values()))
     assert main(["sweep", str(tmp_path / "few.toml"), "--out", str(tmp_path / "new"), "--slurm", "cores=2"]) == 2
-    assert "--slurm needs --executor slurm" in capsys.readouterr().err
+    assert "--slurm: the executor is" in capsys.readouterr().err
 
 
 def test_a_map_of_a_measure_that_no_run_has_is_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     few = Sweep.from_dict(points(diameter=["25 um"]))
     for name in few.points:
-        few.write(tmp_path, name)
+        write_scene(tmp_path, name, few.points[name])
         pretend(tmp_path, name, flattening_ratio=0.5)
     assert main(["map", str(tmp_path), "--show", "crater_depth_m"]) == 0
     assert "no map; no point has this measure" in capsys.readouterr().out
@@ -213,7 +213,7 @@ def test_a_resolution_that_is_chosen_says_what_it_takes_the_place_of() -> None:
     assert "in place" not in chosen(Scene.from_text(scenes.NI, "x", free), None, "5%")[1]
 
 
-def test_a_reference_is_no_coarser_than_a_ladder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_points_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.toml").write_text(scenes.NI)
-    assert main(["accuracy", str(tmp_path / "x.toml"), "--out", str(tmp_path / "a"), "--reference", "0"]) == 2
-    assert "--reference 0 is too coarse" in capsys.readouterr().err
+    assert main(["accuracy", str(tmp_path / "x.toml"), "--out", str(tmp_path / "a"), "--points", "0"]) == 2
+    assert "--points 0 is too coarse" in capsys.readouterr().err

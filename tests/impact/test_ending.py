@@ -191,13 +191,15 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
         assert main(["resume", out, *quiet]) == 0
         said = capsys.readouterr()
         (line,) = (said.err if quiet else said.out).splitlines()
-        assert re.match(r"the run is at its own end \(10.* ns\), its verdict is undecided; ", line)
+        assert re.match(r"the run is at its own end \(10.* ns\), and its verdict is undecided; ", line)
         assert line.endswith(f"coldspray resume {out} --until TIME")
     assert Result(out).verdict == "undecided", "without a time it stays as it is"
     assert list((tmp_path / "out").glob("checkpoint-*")), "nothing is lost"
     with pytest.raises(SystemExit):
         main(["resume", "--help"])
-    assert "at its own end, and undecided, goes on with --until only" in " ".join(capsys.readouterr().out.split())
+    assert "a run that met its end criterion without a verdict needs --until" in " ".join(
+        capsys.readouterr().out.split()
+    )
     assert main(["resume", out, "--quiet", "--threads", "1", "--until", "100 ns"]) == 0
     assert Result(out).verdict == "rebounds"
     assert Result(out).end["time_s"] == pytest.approx(100e-9)
@@ -207,7 +209,7 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
 def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(tmp_path):
     folder = tmp_path
     (folder / "limited.toml").write_text(LIMITED.replace("20 ns", "5 ns"))
-    ended = study_runs.compute(folder / "limited.toml", folder / "limited.json")
+    ended = study_runs.compute(folder / "limited.toml")
     assert (ended["status"], ended["exit_code"]) == ("undecided", 4)
     assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 5 ns")
     (row,) = (row for row in runs_table.table(folder) if row["point"] == "limited")

@@ -116,11 +116,11 @@ def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:
     assert Scene.from_text(scene(("Ni", 25, 500), more=HELD.format(20))).preset == "standard"
 
 
-def in_this_process(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
+def in_this_process(scene: Path, threads: int = 1) -> dict[str, object]:
     """In place of `runs.compute`: to start a process for each run costs more than these runs."""
     run(scene, scene.with_suffix(""), quiet=True)
     ended: dict[str, object] = {"status": "done", "reason": "", "exit_code": 0}
-    status.write_text(json.dumps(ended))
+    scene.with_suffix(".json").write_text(json.dumps(ended))
     return ended
 
 

@@ -4,8 +4,6 @@ import csv
 import json
 import re
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +21,7 @@ from coupler.plan.reading import Scene
 from coupler.studies import map_figures
 from coupler.studies.map_figures import NO_VALUE, _fields, _levels
 from coupler.studies.maps import BAND, best_point, brackets, interpolate, run_next, sparse, varying
+from coupler.studies.runs import write_scene
 from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
 from coupler.studies.sweep import Sweep
 
@@ -37,7 +36,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         points(diameter=[f"{D} um" for D in (5, 12, 28, 60)], velocity=[f"{v} m/s" for v in (125, 250, 400, 600, 900, 1250)])
     )  # fmt: skip
     for number, name in enumerate(whole.points):
-        whole.write(folder, name)
+        write_scene(folder, name, whole.points[name])
         p = Scene.load(folder / f"{name}.toml").particle
         if number == 8:
             (folder / f"{name}.json").write_text(
@@ -252,7 +251,7 @@ def test_a_jump_at_the_critical_velocity_is_no_noise(tmp_path, capsys, figures) 
 def test_few_points_have_the_markers_of_their_verdicts(tmp_path, capsys, figures) -> None:
     whole = Sweep.from_dict(points(velocity=["300 m/s", "500 m/s", "900 m/s"]))
     for name in whole.points:
-        whole.write(tmp_path, name)
+        write_scene(tmp_path, name, whole.points[name])
         v = Scene.load(tmp_path / f"{name}.toml").particle.velocity
         verdict = {300.0: "rebounds", 500.0: "undecided", 900.0: "sticks"}[v]
         pretend(tmp_path, name, verdict, flattening_ratio=v / 1000.0)
@@ -267,7 +266,7 @@ def test_points_without_a_value_stand_on_the_lower_edge(tmp_path, capsys, figure
     velocities = (300, 400, 500, 600, 700)
     whole = Sweep.from_dict(points(diameter=["25 um"], velocity=[f"{v} m/s" for v in velocities]))
     for v, name in zip(velocities, whole.points, strict=True):
-        whole.write(tmp_path, name)
+        write_scene(tmp_path, name, whole.points[name])
         if v == 300:
             (tmp_path / f"{name}.json").write_text('{"status": "failed", "reason": "an element", "exit_code": 3}')
         else:
@@ -314,14 +313,14 @@ def test_the_runs_of_a_study_are_in_a_folder_of_their_own(tmp_path, capsys) -> N
     made(tmp_path / "runs", Sweep.from_dict(points()))
     (tmp_path / "scene.toml").write_text(next((tmp_path / "runs").glob("*.toml")).read_text())
     assert cli.main(["map", str(tmp_path)]) == 2
-    assert f"name {tmp_path / 'runs'}" in capsys.readouterr().err
+    assert f"its runs are in {tmp_path / 'runs'}" in capsys.readouterr().err
 
 
 def test_an_axis_is_named_once(tmp_path, capsys) -> None:
     made(tmp_path, Sweep.from_dict(points()))
     assert cli.main(["map", str(tmp_path), "--axes", "particle.velocity", "particle.velocity"]) == 2
     said = capsys.readouterr().err
-    assert "--axes particle.velocity: it is named twice" in said
+    assert "--axes particle.velocity: this key is given twice" in said
     assert said.count("\n") == 1
 
 
@@ -436,7 +435,7 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
 
     def run(self: Sweep) -> Path:
         for name in self.points:
-            self.write(tmp_path, name)
+            write_scene(tmp_path, name, self.points[name])
             p = Scene.load(tmp_path / f"{name}.toml").particle
             f = float(flattening(np.array(p.velocity), np.array(p.diameter)))
             pretend(tmp_path, name, flattening_ratio=f, T_p99_K=400.0 + p.velocity, rebound_velocity_m_s=20.0)
@@ -460,25 +459,3 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
     assert at is not None
     assert float(at[1]) == pytest.approx(float(flattening(np.array(550.0), np.array(25e-6))), abs=0.02)
     assert "25 um at 650 m/s: rebound 20 m/s" in said
-
-
-def test_snakemake_finds_what_is_left_to_do(finished, tmp_path) -> None:
-    """A dry run over a sweep of which all but one are done."""
-    pytest.importorskip("snakemake")
-    config = tmp_path / "few.toml"
-    config.write_text(
-        'name = "few"\nscene.preset = "draft"\nscene.substrate.material = "SS304"\n[points]\nmaterial = "Ni"\n'
-        'diameter = ["5 um", "12 um", "28 um", "60 um"]\n'
-        'velocity = ["125 m/s", "250 m/s", "400 m/s", "600 m/s", "900 m/s", "1250 m/s"]\ntemperature = ["300 K"]\n'
-    )
-    for path in finished.glob("*.json"):
-        path.touch()
-    done = subprocess.run(
-        [sys.executable, "-m", "snakemake", "-n", "-q", "rules", "-s", ROOT / "workflows" / "Snakefile", "-d", finished,
-         "--rerun-triggers", "mtime", "--config", f"map={config}", f"out={finished}"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
-    counts = dict(line.split() for line in said.splitlines() if len(line.split()) == 2 and line.split()[1].isdigit())
-    assert counts == {"point": "1", "draw": "1", "all": "1", "total": "3"}

@@ -72,11 +72,11 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
 
 def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(tmp_path, monkeypatch, capsys) -> None:
     """One point finished before, one that the program refuses: hotter than its metal stands."""
-    monkeypatch.setattr(study_runs, "compute", lambda scene, status: pytest.fail(f"{scene.name} was run"))
+    monkeypatch.setattr(study_runs, "compute", lambda scene: pytest.fail(f"{scene.name} was run"))
     two = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"], temperature=["300 K", "1700 K"]))
     good, bad = two.points
     assert list(two.refused) == [bad]
-    two.write(tmp_path, good)
+    study_runs.write_scene(tmp_path, good, two.points[good])
     pretend(tmp_path, good, flattening_ratio=0.5)
     assert two.run(tmp_path, jobs=2) == tmp_path
     rows = {row["point"]: row for row in table(tmp_path)}
@@ -93,14 +93,14 @@ def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(
 
 
 def test_a_point_that_was_refused_before_is_run_when_it_no_longer_is(tmp_path, monkeypatch) -> None:
-    def end(scene: Path, status: Path, threads: int) -> dict[str, object]:
-        status.write_text(json.dumps(ended := {"status": "done", "reason": "", "exit_code": 0}))
+    def end(scene: Path, threads: int) -> dict[str, object]:
+        scene.with_suffix(".json").write_text(json.dumps(ended := {"status": "done", "reason": "", "exit_code": 0}))
         return ended
 
     monkeypatch.setattr(study_runs, "compute", end)
     few = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"]))
     (name,) = few.points
-    scene = few.write(tmp_path, name)
+    scene = study_runs.write_scene(tmp_path, name, few.points[name])
     scene.with_suffix(".json").write_text(json.dumps({"status": "failed", "reason": "", "exit_code": 2}))
     few.run(tmp_path)
     assert json.loads(scene.with_suffix(".json").read_text())["status"] == "done"
@@ -124,21 +124,22 @@ def test_a_point_that_is_stopped_is_no_failure(tmp_path, monkeypatch, number, ve
     program.write_text(f"#!{sys.executable}\nimport os, signal\n{default}os.kill(os.getpid(), signal.SIG{number})\n")
     program.chmod(0o755)
     monkeypatch.setattr(study_runs.sys, "executable", str(program))
-    scene = Sweep.from_dict(points()).write(tmp_path, "Ni_10um_400ms_300K")
+    name = "Ni_10um_400ms_300K"
+    scene = study_runs.write_scene(tmp_path, name, Sweep.from_dict(points()).points[name])
     status = scene.with_suffix(".json")
     if verdict is None:
         with pytest.raises(InterruptedRunError):
-            study_runs.compute(scene, status)
+            study_runs.compute(scene)
         assert not status.exists()
     else:
-        assert study_runs.compute(scene, status)["reason"] == verdict
+        assert study_runs.compute(scene)["reason"] == verdict
         assert json.loads(status.read_text())["status"] == "failed"
 
 
 def test_a_run_of_another_scene_is_not_gone_on_with(tmp_path) -> None:
     few = Sweep.from_dict(points())
     name = next(iter(few.points))
-    scene = few.write(tmp_path, name)
+    scene = study_runs.write_scene(tmp_path, name, few.points[name])
     pretend(tmp_path, name)
     assert "resume" in study_runs._command(scene, tmp_path / name, 1)
     scene.write_text(few.points[name].replace("draft", "fine"))
@@ -220,7 +221,7 @@ def test_the_distribution_of_the_measures_is_the_result(tmp_path, capsys) -> Non
     drawn = Sweep.load(file)
     v = []
     for name in drawn.points:
-        drawn.write(tmp_path / "out", name)
+        study_runs.write_scene(tmp_path / "out", name, drawn.points[name])
         v.append(Scene.load(tmp_path / "out" / f"{name}.toml").particle.velocity)
         pretend(tmp_path / "out", name, flattening_ratio=v[-1] / 1000.0, T_mean_K=v[-1])
     assert cli.main(["sweep", str(file), "--out", str(tmp_path / "out")]) == 0

@@ -382,7 +382,7 @@ def test_a_process_of_a_batch_lets_blas_have_one_thread(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(deposition_task, "attempt", threads)
     with threadpool_limits(2, "blas"):
-        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == {1}
+        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None, 1) == {1}
 
 
 @pytest.mark.parametrize(
@@ -428,7 +428,7 @@ def test_a_task_is_given_threads_on_its_way_and_leaves_none(tmp_path: Path, monk
         return counts
 
     monkeypatch.setattr(deposition_task, "attempt", pieces)
-    assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == [1, 2 * RANGES]
+    assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None, 1) == [1, 2 * RANGES]
     ranges: list[tuple[int, int]] = []
     share(lambda lo, hi: ranges.append((lo, hi)), 100, 10)
     assert len(ranges) == 1  # it is gone with the task
