@@ -163,12 +163,10 @@ def _parser() -> argparse.ArgumentParser:
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
     option("--fps", type=float, metavar="N", help="pictures in a second (default: for a film of 4 seconds)")
     options.add_force(option)
-    text = "write the fields for tools that cannot read VTKHDF in time"
+    text = "write the fields as .vtu and .pvd files, for tools that do not read time steps of VTKHDF"
     option = options.add_command(commands, "export", _export, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
-    option("--format", choices=("pvd", "xdmf"), default="pvd",
-           help="pvd (default): a .vtu file for each step, and their times; xdmf: all steps in two files for each domain")  # fmt: skip
-    option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/<format>)")
+    option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/pvd)")
     options.add_force(option)
     option = options.add_command(commands, "compare", _compare, "print runs side by side and draw them")
     option("runs", type=options.path, nargs="+", metavar="DIR", help="folders of runs, two or more")
@@ -323,10 +321,10 @@ def _export(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_folder
     from ..files.result import Result
 
-    result, out = Result(arguments.run), arguments.out or arguments.run / arguments.format
+    result, out = Result(arguments.run), arguments.out or arguments.run / "pvd"
     claim_folder(out, "export", NAMES, [arguments.run], arguments.force)
     with reading(arguments.run), options.working("reading the run") as progress:
-        written = write_fields(result, out, arguments.format, progress.stage)
+        written = write_fields(result, out, progress.stage)
     print(f"{', '.join(file.name for file in written)} in {out}")
     return 0
 
