@@ -1,16 +1,14 @@
 """The command `coldspray sweep`: many runs of one scene, and the distributions of their measures."""
 
 import argparse
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import UNDECIDED
-from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path, working
+from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path, teller, working
 
 if TYPE_CHECKING:
-    from ..progress import Progress
     from ..studies.distribution import Spread
     from ..studies.runs_table import Row
     from ..studies.sweep import Sweep
@@ -51,7 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
     from ..core.signals import interrupted_by
     from ..errors import PlacementError, StoreError
     from ..files.outputs import claim_folder
-    from ..progress import Progress
     from ..studies.runs import STOPS, of_another_scene, run_points
     from ..studies.sweep import Sweep
 
@@ -72,10 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
     pool = executor(arguments.executor, jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
         print(_forecast(sweep, jobs if here else 0), flush=True)
-    with interrupted_by(*STOPS), Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
-        progress.stage(f"{len(sweep.points)} points")
-        tell = _teller(progress, len(sweep.points), arguments.quiet)
-        statuses = run_points(out, sweep.points, jobs, tell, sweep.refused, pool)
+    with interrupted_by(*STOPS):
+        statuses = run_points(out, sweep.points, jobs, teller(arguments.quiet, "stdout"), sweep.refused, pool)
     with working("reading the runs", arguments.quiet):
         summary = summarise(sweep, out)
     if not arguments.quiet:
@@ -102,20 +97,6 @@ def _forecast(sweep: "Sweep", jobs: int) -> str:
     each = sum(pace.seconds(plan(Scene.from_text(sweep.points[name], name))) for name in some) / len(some)
     seconds = len(names) * (each + _START) / jobs
     return f"{count} points, about {duration(seconds)} for all with {jobs} at a time, after compilation"
-
-
-def _teller(progress: "Progress", points: int, is_quiet: bool) -> Callable[[str], None]:
-    """A function for lines "k/n point: ...". On a terminal it prints them above a progress bar, else on standard output."""
-
-    def tell(text: str) -> None:
-        if not is_quiet and progress.quiet:
-            print(text, flush=True)
-        progress.log(text)
-        ended = text.partition("/")[0]
-        if ended.isdigit():
-            progress.stage(f"{ended} of {points} points", done=int(ended) / points)
-
-    return tell
 
 
 def summarise(sweep: "Sweep", out: Path) -> list[str]:

@@ -46,12 +46,6 @@ class StudyTable:
         return tuple(row[name] for name in self.key)
 
 
-def other_version(row: Mapping[str, str]) -> str:
-    """The version that computed a row if it differs from this program's version, else ""."""
-    version = row.get("version", "unknown")
-    return "" if version == __version__ else version
-
-
 def cell(value: object) -> str:
     """Text of a value in a table: six digits of a float, empty for None."""
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
