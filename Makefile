@@ -1,4 +1,5 @@
 # make run    one nickel particle on steel, into runs/single_ni
+# make app    forms, runs and results as a page in the browser of this machine (docs/guide/app.md)
 # make test   format, lint, types and tests, those marked slow left out
 # make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
 # make coverage  the lines of coupler/ that make test does not run (numba's kernels count as not run)
@@ -27,7 +28,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # Tests and documents also need a browser that opens the report:
 TEST_LIBRARIES := chromium
 
-.PHONY: setup test-setup libraries test-libraries run check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
+.PHONY: setup test-setup libraries test-libraries run app check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
@@ -91,6 +92,10 @@ test-libraries:
 
 run: setup
 	$(VENV)/bin/coldspray run workflows/single_ni.toml --force
+
+app: setup
+	$(SYNC) --no-dev --extra app
+	$(VENV)/bin/coldspray app
 
 check: test-setup
 	$(VENV)/bin/ruff check .

@@ -51,8 +51,9 @@ class Browser:
         os.close(self._in)
         os.close(self._out)
 
-    def open(self, path: Path) -> None:
-        self._call("Page.navigate", url=path.resolve().as_uri())
+    def open(self, page: Path | str) -> None:
+        """Open a file, or an address."""
+        self._call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         self.until("document.readyState === 'complete'")
 
     def ask(self, expression: str) -> Any:
@@ -66,6 +67,18 @@ class Browser:
         while not self.ask(expression):
             assert time.monotonic() < end, f"{expression} did not come true; {self.complaints}"
             time.sleep(0.1)
+
+    def type(self, selector: str, text: str) -> None:
+        """Put a text in the place of that of a field, as a user who types it."""
+        self.ask(f"(field => {{ field.focus(); field.select(); }})(document.querySelector({json.dumps(selector)}))")
+        self._call("Input.insertText", text=text)
+        self.ask("document.activeElement.blur()")
+
+    def click(self, words: str) -> None:
+        """Click the button whose text ends in these words, after an icon or not, once it can be clicked."""
+        ends = f"b.innerText.toLowerCase().trim().endsWith({json.dumps(words.lower())})"
+        button = f"[...document.querySelectorAll('button')].find(b => {ends})"
+        self.until(f"(b => b && !b.disabled && (b.click(), true))({button})")
 
     def screen(self, width: int, dark: bool = False) -> None:
         """Another width of the window, px, and light or dark as the reader prefers it."""

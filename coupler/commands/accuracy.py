@@ -3,7 +3,6 @@
 import argparse
 import math
 from pathlib import Path
-from textwrap import fill
 from typing import TYPE_CHECKING
 
 from .arguments import (
@@ -23,7 +22,6 @@ from .arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..plan.planning import Plan
     from ..plan.reading import Scene
     from ..studies.pace import Pace
 
@@ -81,25 +79,6 @@ def here(recalibrate: bool = False) -> "Pace":
             return measure()
 
     return pace.of_this_machine(measure, recalibrate)
-
-
-def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
-    """Text for `check`: forecast of the wall time of a plan on this machine, and of the errors. verbose: with the source of the
-    errors."""
-    from ..measures import CONVERGING, MEASURES
-    from ..plan import refinement
-    from ..plan.text import duration
-
-    shares = refinement.forecast(plan.impacts[-1].points)
-    cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in CONVERGING if name in shares]
-    text = f"a forecast: +- {', '.join(cells)}; the run measures its own"
-    lines = [
-        f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}",
-        fill(text, 119, initial_indent="  error      ", subsequent_indent=" " * 13),
-    ]
-    if verbose:
-        lines.append("             of the discretisation alone, median of 24 scenes (docs/evidence/accuracy.md)")
-    return "\n".join(lines)
 
 
 def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:

@@ -17,7 +17,7 @@ from .. import __version__
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
-from . import accuracy, coating, critical, gas, job, materials, mesh, new, sweep, watch, window
+from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, sweep, watch, window
 from . import arguments as options
 from . import map as maps
 from .arguments import Option
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # shared libraries of the system that wheels need
 _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
-_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # optional package -> extra that installs it
+_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields", "nicegui": "app"}  # optional package -> its extra
 _INTERRUPTED = 130  # 128 + SIGINT, as shells do
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
@@ -180,7 +180,7 @@ def _parser() -> argparse.ArgumentParser:
            help='time until which the last impact continues, such as "300 ns" (default: the same time again, for a run that ended at'
            " its time limit; a run that met its end criterion without a verdict needs --until)")  # fmt: skip
     _add_running(option)
-    for command in (new, job, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
+    for command in (new, job, app, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
     option = options.add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
@@ -216,10 +216,10 @@ class _Parser(argparse.ArgumentParser):
 def _check(arguments: argparse.Namespace) -> int:
     from ..plan.planning import plan
     from ..plan.text import describe
+    from ..studies import pace
 
-    planned = plan(options.scene_of(arguments))
-    pace = accuracy.here(arguments.recalibrate)
-    print(describe(planned, accuracy.forecast(planned, pace, arguments.verbose), brief=not arguments.verbose))
+    planned, here = plan(options.scene_of(arguments)), accuracy.here(arguments.recalibrate)
+    print(describe(planned, pace.lines(planned, here, arguments.verbose), brief=not arguments.verbose))
     return 0
 
 

@@ -123,8 +123,12 @@ def _parsed(load: Callable[[str], T], text: str) -> T:
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The tables of a TOML file of at most SCENE_LIMIT bytes. Raises InputError."""
+    return toml_of(read_text(path, SCENE_LIMIT), path)
+
+
+def toml_of(text: str, path: str | Path) -> dict[str, Any]:
+    """The tables of the text of a TOML file. Raises InputError, which names the file."""
     try:
-        text = read_text(path, SCENE_LIMIT)
         return parse_toml(text)
     except ValueError as error:
         raise InputError(path, f"is not valid TOML: {error}{line_of(text, str(error))}") from None

@@ -9,7 +9,7 @@ from typing import Any
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import read_toml
+from ..files.inputs import SCENE_LIMIT, read_text, toml_of
 from ..physics import materials
 from ..physics.materials import Material
 from ..scene.job import JobData
@@ -203,8 +203,14 @@ def _um(length: float) -> str:
 
 
 def read(path: Path) -> Job:
-    """Read the file of a job. Raises InputError if it is not a TOML file, SceneError with all problems of its tables."""
-    raw = read_toml(path)
+    """Read the file of a job. Raises as `from_text`, and InputError if it cannot be read."""
+    return from_text(read_text(path, SCENE_LIMIT), path)
+
+
+def from_text(text: str, path: Path) -> Job:
+    """Read a job from TOML. path: its file, whose stem is the name of the job and whose folder has the files that it names. Raises
+    InputError if the text is not valid TOML, SceneError with all problems of its tables."""
+    raw = toml_of(text, path)
     problems = with_library(raw, str(path))
     metals, found = materials.from_scene(raw["materials"])
     known, of_nozzles = nozzles.from_tables(raw["nozzles"])

@@ -3,7 +3,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import tomlkit
@@ -95,6 +95,18 @@ def changed(text: str, settings: Settings) -> str:
     written, meant = document.as_string(), document.unwrap()
     # in a file with dotted keys tomlkit can write a plain key into the wrong table
     return written if tomllib.loads(written) == meant else tomlkit.dumps(meant)
+
+
+def texts(text: str, keys: Iterable[str]) -> dict[str, str]:
+    """Values of keys such as "particle.velocity" in a text of valid TOML, as `changed` takes them; keys that it lacks are left out."""
+    document, found = tomlkit.parse(text), {}
+    for key in keys:
+        item: Any = document
+        for step in key.split("."):
+            item = item.get(step) if isinstance(item, Mapping) else None
+        if item is not None:
+            found[key] = str(item) if isinstance(item, str) else tomlkit.item(item).as_string().strip()
+    return found
 
 
 def set_key(table: Any, key: str, value: object) -> None:

@@ -1,0 +1,98 @@
+"""Curves of the page, for plotly: the window of a powder, its flight, flow stresses, the energies of a run."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..files.result import HISTORY, Result
+from ..physics.adhesion import critical_velocity
+from ..physics.materials import Material
+from ..plan.job import Job
+from ..report import charts
+from ..spray.flight import DRAG_LAWS, fly_together
+from ..spray.window import EROSION, OPTIMAL
+from ..studies.job_numbers import BAND
+
+Figure = dict[str, Any]
+GREY, GRID = "#808a94", "rgba(128,138,148,0.25)"
+
+
+def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layout: Any) -> Figure:
+    """A figure that is read on light and on dark ground. x, y: of the axes; name: of the png that the reader may save."""
+    line = {"gridcolor": GRID, "zerolinecolor": GRID, "linecolor": GREY, "automargin": True}
+    axes = {axis: {"title": {"text": text, "standoff": 8}, **line} for axis, text in (("xaxis", x), ("yaxis", y))}
+    clear = dict.fromkeys(("paper_bgcolor", "plot_bgcolor"), "rgba(0,0,0,0)")
+    base = {
+        "font": {"color": GREY}, "margin": {"l": 55, "r": 10, "t": 30, "b": 40}, "hovermode": "closest", **clear,
+        "legend": {"orientation": "h", "y": -0.22, "yanchor": "top"}, "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": GREY},
+    }  # fmt: skip
+    config = {"responsive": True, "displaylogo": False, "toImageButtonOptions": {"filename": name, "scale": 2}}
+    return {"data": [*traces], "layout": {**axes, **base, **layout}, "config": config}
+
+
+def window(job: Job) -> Figure:
+    """Velocity over temperature at impact: the powder's classes, and the velocities of the pair's formula for the particle of D50."""
+    spray, D50, lines = job.arrived, job.sizes.diameter(0.5), []
+    coldest, hottest = float(spray.temperature.min()), float(spray.temperature.max())
+    T = np.linspace(min(280.0, coldest), min(hottest + 200.0, 0.9 * job.metal.T_m), 40)
+    pair = {job.data.substrate.material: job.base, job.data.powder.material: job.metal}
+    for (name, metal), colour in zip(pair.items(), charts.LINES, strict=False):
+        if metal.sigma_TS is None:
+            continue
+        v = np.array([critical_velocity(metal, t, D50) for t in T])
+        for factor in (1 - BAND, 1 + BAND):
+            edge = charts.trace(T, factor * v, "", color=colour, width=0) | {"hoverinfo": "skip", "showlegend": False}
+            lines.append(edge | ({"fill": "tonexty", "fillcolor": f"{colour}26"} if factor > 1 else {}))
+        lines.append(charts.trace(T, v, f"critical, {name}, ± {BAND:.0%}", color=colour))
+    for factor, dash, word in ((OPTIMAL, "dash", "optimal"), (EROSION, "dot", "erosion")):
+        lines.append(charts.trace(T, factor * v, f"{word}, {name}", color=colour, dash=dash))
+    sizes = [round(1e6 * D, 1) for D in spray.diameter.tolist()]
+    bar = {"title": {"text": "µm"}, "thickness": 10, "outlinewidth": 0}
+    marks = {
+        "color": sizes,
+        "colorscale": "Viridis",
+        "size": 8,
+        "line": {"width": 0.5, "color": GREY},
+        "colorbar": bar,
+    }
+    cloud = charts.trace(spray.temperature, spray.velocity, "powder, 25 classes of equal mass") | {"mode": "markers"}
+    hover = "%{text} µm: %{y:.0f} m/s, %{x:.0f} K<extra></extra>"
+    lines.append(cloud | {"marker": marks, "text": sizes, "hovertemplate": hover})
+    return shell(lines, "temperature at impact (K)", "velocity (m/s)", f"window-{job.name}")
+
+
+def flights(job: Job) -> Figure:
+    """Velocity of gas and particles of D10, D50, D90 along the axis, and their temperatures below."""
+    gas, D = job.data.gas, [job.sizes.diameter(share) for share in (0.1, 0.5, 0.9)]
+    flown = fly_together(job.flow, job.metal, D, gas.powder_temperature, DRAG_LAWS[gas.drag])
+    curves = [("gas", flown[0].u, flown[0].T_gas, GREY)]
+    curves += [(f"{1e6 * d:.0f} µm", f.v, f.T, c) for d, f, c in zip(D, flown, charts.LINES, strict=False)]
+    lines, x = [], 1e3 * flown[0].x
+    for name, v, T, colour in curves:
+        lines.append(charts.trace(x, v, name, color=colour))
+        lines.append(charts.trace(x, T, name, color=colour) | {"yaxis": "y2", "showlegend": False})
+    figure = shell(lines, "distance from the throat (mm)", "velocity (m/s)", f"flight-{job.name}")
+    layout = figure["layout"]
+    layout["yaxis2"] = layout["yaxis"] | {"domain": [0.0, 0.47], "title": {"text": "temperature (K)", "standoff": 8}}
+    layout["yaxis"] |= {"domain": [0.53, 1.0]}
+    layout["xaxis"] |= {"anchor": "y2"}
+    return figure
+
+
+def energies(result: Result) -> Figure | None:
+    """The ledger of a run so far; None before its first rows."""
+    drawn = charts.energy(result.history()) if (result.directory / HISTORY).is_file() else None
+    traces: Any = drawn["traces"] if drawn else ()
+    legend = {"orientation": "h", "y": -0.2, "yanchor": "top", "font": {"size": 10}, "traceorder": "reversed"}
+    return shell(traces, "time (ns)", "% of kinetic energy at start", "energies", legend=legend) if drawn else None
+
+
+def flow_stresses(metals: Sequence[Material], rate: float, T: float) -> Figure:
+    """Flow stress (MPa) of metals, each with its strength set, over the plastic strain, at a rate (1/s) and a temperature (K)."""
+    strain, lines = np.linspace(0.0, 1.0, 60), []
+    for k, metal in enumerate(metals):
+        stress = np.array([metal.flow_stress(e, rate, T) for e in strain]) / 1e6
+        style = {"color": charts.LINES[k % len(charts.LINES)], "dash": charts.DASHES[k // len(charts.LINES) % 5]}
+        lines.append(charts.trace(strain, stress, f"{metal.name} {metal.strength.set}", **style))
+    return shell(lines, "plastic strain", "flow stress (MPa)", "flow-stress")

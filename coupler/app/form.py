@@ -1,0 +1,106 @@
+"""A form of the keys of a scene or a job: made from the schema, read by the reader of the command line."""
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from nicegui import ui
+
+from ..physics import materials
+from ..scene.toml import changed, texts
+from ..spray import nozzles
+
+Entries = Mapping[str, Mapping[str, Any]]
+SLIDERS = {  # key -> least, greatest, step, unit
+    "gas.pressure": (10, 70, 1, "bar"), "gas.temperature": (20, 1100, 10, "degC"), "gas.standoff": (10, 100, 5, "mm"),
+}  # fmt: skip
+_KEY = re.compile(r"[A-Za-z_]+(?:\.[A-Za-z_]+)*")
+
+
+def entries_of(schema: Mapping[str, Any]) -> Entries:
+    """Dotted key -> its entry in the schema of a scene or a job; keys of own metals and nozzles are left out."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for name, entry in schema["properties"].items():
+        table = schema["definitions"].get(str(entry.get("$ref", "")).rpartition("/")[2], entry)
+        if "properties" in table:
+            found |= {f"{name}.{key}": of_key for key, of_key in table["properties"].items()}
+        elif name not in ("materials", "nozzles", "name"):
+            found[name] = entry
+    return found
+
+
+def placed(problems: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
+    """Problems of a reader by the key that each begins with; those of no key under ""."""
+    known, found = set(keys), dict[str, str]()
+    for problem in problems:
+        match = _KEY.match(problem)
+        key = match[0] if match and match[0] in known else ""
+        found[key] = f"{found[key]}\n{problem}" if key in found else problem
+    return found
+
+
+class Form:
+    """Fields for the keys of a text of TOML, of one page of one reader. main: keys that are always seen, the others are folded, a group
+    for each table; on_change: called after each change."""
+
+    def __init__(self, text: str, entries: Entries, main: Sequence[str], on_change: Callable[[], Any]):
+        self.text, self.entries, self.on_change = text, entries, on_change
+        self.first = texts(text, entries)
+        self.fields: dict[str, Any] = {}
+        self._grid(main)
+        rest = [key for key in entries if key not in main]
+        for table in dict.fromkeys(key.partition(".")[0] if "." in key else "" for key in rest):
+            keys = [key for key in rest if (key.partition(".")[0] if "." in key else "") == table]
+            with ui.expansion(table or "general").classes("w-full border-t border-gray-400/40").props("dense"):
+                self._grid(keys)
+
+    def toml(self) -> str:
+        """The text with what the fields have; an empty field removes its key, and a table without keys goes. Raises ValueError."""
+        now = {key: str(field.value or "").strip() for key, field in self.fields.items()}
+        settings = [(k, now[k] or None) for k in now if now[k] != self.first.get(k, "")]
+        gone = {k.partition(".")[0] for k, value in settings if value is None and "." in k}
+        settings += [(t, None) for t in gone if not any(now[k] for k in now if k.startswith(f"{t}."))]
+        return changed(self.text, settings)
+
+    def show(self, problems: Iterable[str]) -> str:
+        """Put each problem at its field. Returns those that have none."""
+        found = placed(problems, self.fields)
+        for key, field in self.fields.items():
+            field.error = found.get(key)
+        return found.get("", "")
+
+    def _grid(self, keys: Sequence[str]) -> None:
+        with ui.element("div").classes("grid grid-cols-1 sm:grid-cols-2 gap-x-4 gap-y-1 w-full"):
+            for key in keys:
+                with ui.element("div"):
+                    self.fields[key] = self._field(key)
+
+    def _field(self, key: str) -> Any:
+        """The field of a key: a choice, or a text with its help below while it is edited; some also with a slider."""
+        entry, value, leaf = self.entries[key], self.first.get(key, ""), key.rpartition(".")[2]
+        usual = entry.get("default")
+        usual = {True: "true", False: "false"}.get(usual, usual) if isinstance(usual, bool) else usual
+        choices = entry.get("enum") or (["true", "false"] if entry.get("type") == "boolean" else None)
+        own = {"material": materials.names, "nozzle": lambda: [*nozzles.library()]}.get(leaf)
+        label = f"{key.replace('.', ' ').replace('_', ' ')}"
+        if own:
+            options = list(dict.fromkeys([*own(), *([value] if value else [])]))
+            field: Any = ui.select(
+                options, label=label, value=value or None, with_input=True, new_value_mode="add-unique"
+            )
+        elif choices:
+            empty = f"{usual} (default)" if usual is not None else "not set"
+            field = ui.select({"": empty, **{item: str(item) for item in choices}}, label=label, value=value)
+        else:
+            field = ui.input(label, value=value, placeholder=str(usual) if usual is not None else "")
+            field.props("debounce=300" + (" stack-label" if usual is not None else ""))
+        words = str(entry.get("description", "")).replace("`", "").replace('"', "'")
+        field.props(f'dense outlined hide-bottom-space hint="{words}" hide-hint').classes("w-full")
+        field.on_value_change(self.on_change)
+        if key in SLIDERS:
+            least, most, step, unit = SLIDERS[key]
+            number = re.match(r"[\d.]+", value)
+            slider = ui.slider(min=least, max=most, step=step, value=float(number[0]) if number else least)
+            slider.props("dense label").classes("w-full px-2")
+            slider.on("update:model-value", lambda event: field.set_value(f"{event.args:g} {unit}"), throttle=0.3)
+        return field

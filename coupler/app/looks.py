@@ -1,0 +1,122 @@
+"""What the page says of a scene or a job while it is typed, and of a run while it is computed: from the readers of the command line."""
+
+import threading
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ..core.cores import cores
+from ..errors import ColdsprayError, SceneError
+from ..files.inputs import reading
+from ..files.result import HISTORY, Result
+from ..plan.job import Job, choose, from_text, processor_time
+from ..plan.planning import plan
+from ..plan.reading import Scene
+from ..plan.text import describe, duration
+from ..report import picture, screen
+from ..studies import coating_growth, pace
+from ..studies.job_numbers import Number, numbers
+from ..studies.job_parts import Coating
+from . import figures
+from .workspace import FINISHED, JOB, LOG, UNDECIDED, Row, Workspace, last_lines
+
+_DRAWING = threading.Lock()  # matplotlib draws in one thread at a time
+
+
+@dataclass(frozen=True)
+class Look:
+    """problems: of the input, none else; lines: time and error to expect; more: what would be computed; numbers, drawn: of the gas;
+    classes: columns of the powder's classes at impact."""
+
+    problems: Iterable[str] = ()
+    lines: str = ""
+    more: str = ""
+    numbers: tuple[Number, ...] = ()
+    drawn: tuple[figures.Figure, ...] = ()
+    classes: Mapping[str, Iterable[float]] | None = None
+
+
+@dataclass(frozen=True)
+class Now:
+    """A run as its files have it. text: its results, or the last lines of its log; pictures: their addresses."""
+
+    row: Row
+    text: str
+    energy: figures.Figure | None = None
+    pictures: tuple[str, ...] = ()
+
+
+def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
+    """A scene or a job, from its text. path: what it would be saved as; verb: "run" of a scene, "job", or "" for a job without a
+    forecast. Problems of the input are in the answer."""
+    try:
+        if verb == "run":
+            planned = plan(Scene.from_text(text, str(path)))
+            lines = pace.lines(planned, here, verbose=False)
+            return Look(lines=_flat(lines), more=describe(planned, lines, brief=True))
+        job = from_text(text, path)
+        found = _gas(job)
+        if not verb:
+            return found
+        choice, seconds, then = choose(job, processor_time(here.factor), cores())
+        lines = f"about {duration(seconds)} on {cores()} cores: {choice.words}"
+        more = f"{duration(then[1])} would buy: {then[0].words}" if then else ""
+        return Look((), lines, more, found.numbers, found.drawn, found.classes)
+    except SceneError as error:
+        return Look(error.problems)
+    except ColdsprayError as error:
+        return Look([str(error)])
+
+
+def _gas(job: Job) -> Look:
+    spray = job.arrived
+    classes = {
+        "share": spray.share, "diameter_um": 1e6 * spray.diameter, "velocity_m_s": spray.velocity,
+        "temperature_K": spray.temperature, "critical_velocity_m_s": spray.critical,
+    }  # fmt: skip
+    lines = "; ".join(
+        [*job.flow.notes, *([f"assumed of the nozzle: {job.nozzle.assumed}"] if job.nozzle.assumed else [])]
+    )
+    drawn = (figures.window(job), figures.flights(job))
+    return Look((), lines, "", tuple(numbers(job, [], Coating({}, {}))), drawn, classes)
+
+
+def now(workspace: Workspace, folder: Path) -> Now:
+    """A run or a job, finished or not. One that is damaged has the message as its text."""
+    row, log = workspace.row(folder), last_lines(folder / "run.log", 6) or last_lines(folder / LOG, 6)
+    text, energy, done = log or row.words, None, row.state in (FINISHED, UNDECIDED)
+    if row.kind != JOB and (folder / HISTORY).is_file():
+        try:
+            with reading(folder):
+                result = Result(folder)
+                energy = figures.energies(result)
+                _draw(folder, picture.stored_steps(result), int(result.history("impact")[-1:].sum()) + done)
+                text = screen(result) if done else log
+        except (ColdsprayError, OSError) as error:
+            text = f"{error}\n\n{log}"
+    pictures = [
+        path for pattern in ("live*.png", "coating/*.png", "micrograph.png") for path in sorted(folder.glob(pattern))
+    ]
+    return Now(row, text, energy, tuple(workspace.address(path) for path in pictures))
+
+
+@lru_cache(maxsize=32)
+def _draw(folder: Path, steps: int, impact: int) -> None:
+    """Draw the cut at the last stored step and, of several impacts, how the coating has grown; once for each step."""
+    with _DRAWING:
+        if steps:
+            picture.section_picture(Result(folder), folder / "live.png")
+        if impact > 2:
+            coating_growth.draw(coating_growth.growth(Result(folder)), folder / "live_growth.png")
+
+
+def _flat(lines: str) -> str:
+    return "\n".join(" ".join(line.split()) for line in lines.splitlines())
+
+
+def as_csv(columns: Mapping[str, Any]) -> str:
+    """Columns of numbers as the text of a csv table."""
+    rows = zip(*columns.values(), strict=True)
+    return "\n".join([",".join(columns), *(",".join(f"{value:.7g}" for value in row) for row in rows)]) + "\n"

@@ -1,0 +1,24 @@
+"""A process of the queue: waits until no other of its workspace computes, then becomes `coldspray WORDS`."""
+
+import fcntl
+import os
+import resource
+import signal
+import sys
+
+
+def main(lock: str, *words: str) -> None:
+    """Wait for a lock, a file, and execute the command, which holds it until it ends."""
+    # a shell can have the server ignore SIGINT, and the server has bounded its own memory: neither is for the run
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    os.set_inheritable(descriptor, True)
+    print("coldspray", *words, flush=True)
+    os.execv(sys.executable, [sys.executable, "-m", "coupler", *words])
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

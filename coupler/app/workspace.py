@@ -1,0 +1,219 @@
+"""The folder that the page works in: its scenes, its runs and their processes. No path leads out of it."""
+
+import fcntl
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from ..errors import ColdsprayError, StoreError
+from ..files import checkpoint
+from ..files.inputs import leaves, parse_toml, read_text, reading
+from ..files.outputs import kind_of, write_text
+from ..files.result import Result
+from ..report.words import title, verdict
+from ..studies.pace import Pace
+
+LOG, PID = "app.log", "app.pid"  # in a folder of results: what its process prints, and the process
+KINDS = RUN, JOB = "run", "job"  # as folders are marked
+COATING = "coating"  # a run of several impacts
+RUNNING, QUEUED, FINISHED, UNDECIDED, STOPPED, DAMAGED = (
+    "running",
+    "queued",
+    "finished",
+    "undecided",
+    "stopped",
+    "damaged",
+)
+RECENT = 60.0  # s: a run without a process of the page that has written since is computed elsewhere
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", re.ASCII)
+_OF_FILES = re.compile(r"library|(particle(\[\d+\])?|coating)\.files?|powder\.sizes")  # keys whose value may be a path
+
+
+@dataclass(frozen=True)
+class Row:
+    """A folder of results. name: its path in `runs`; kind: RUN, COATING or JOB; words: its metals and its
+    verdict, or what is wrong; changed: s since 1970."""
+
+    name: str
+    kind: str
+    state: str
+    words: str
+    changed: float
+
+
+class Workspace:
+    """Scenes in `root`, results in `root`/runs. templates: what forms begin with, by kind; here: the pace of this machine. Its methods
+    raise ColdsprayError."""
+
+    def __init__(self, root: Path, templates: Mapping[str, str], here: Pace):
+        self.root, self.templates, self.here = root.resolve(), templates, here
+        self.runs = self.root / "runs"
+        self.runs.mkdir(parents=True, exist_ok=True)
+
+    def inside(self, name: str) -> Path:
+        """A path below `root`, of its name there. Raises StoreError where it leads out, by dots or by a link."""
+        path = self.root / name
+        if "\0" in name or not path.resolve().is_relative_to(self.root):
+            raise StoreError(f"{name[:80]!r} lies outside the workspace: copy it into {self.root}")
+        return path
+
+    def folder(self, name: str) -> Path:
+        """The folder of results of a name. Raises StoreError."""
+        path = self.inside(f"runs/{name}")
+        if self.runs not in path.resolve().parents:
+            raise StoreError(f"{name[:80]!r} is no folder of {self.runs}")
+        return path
+
+    def address(self, path: Path) -> str:
+        """The address of a file of results, another one after each change of the file."""
+        return f"/files/{quote(path.relative_to(self.runs).as_posix())}?{path.stat().st_mtime_ns}"
+
+    def outside(self, text: str) -> list[str]:
+        """Problems of a scene or job: files that it names outside the workspace."""
+        problems = []
+        with suppress(ValueError):  # told by its reader
+            for key, value in leaves(parse_toml(text)):
+                if _OF_FILES.fullmatch(key) and isinstance(value, str):
+                    try:
+                        self.inside(value)
+                    except StoreError as error:
+                        problems.append(f"{key} = {error}")
+        return problems
+
+    def save(self, name: str, text: str, suffix: str = ".toml") -> Path:
+        """Write a new file into `root`. Raises StoreError where the name is taken or is none."""
+        if not _NAME.fullmatch(name):
+            raise StoreError(
+                f"name = {name[:80]!r}: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)"
+            )
+        path = self.inside(name + suffix)
+        if path.exists() or path.is_symlink():
+            raise StoreError(f"name = {name!r}: {path.name} exists, choose another name")
+        write_text(path, text)
+        return path
+
+    def free(self, stem: str) -> str:
+        """A name that no scene and no folder of results has."""
+        numbers = (f"{stem}-{k}" for k in range(1, 10**6))
+        return next(n for n in numbers if not (self.root / f"{n}.toml").exists() and not (self.runs / n).exists())
+
+    def start(self, folder: Path, *words: str) -> None:
+        """Put a command into the queue. folder: of its results, where its process is known. Raises StoreError if it has one."""
+        if alive(folder):
+            raise StoreError(f"{folder.name} is in the queue or running: stop it first")
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / LOG).open("w") as log:
+            fcntl.flock(log, fcntl.LOCK_EX)  # held by the process, and by what it starts
+            process = subprocess.Popen(
+                [sys.executable, "-m", "coupler.app.queued", str(self.runs / ".queue"), *words], cwd=self.root,
+                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
+            )  # fmt: skip
+        write_text(folder / PID, str(process.pid))
+
+    def begin(self, verb: str, name: str, text: str) -> Path:
+        """Save a new scene or job, and put it into the queue. Returns the folder of its results."""
+        folder = self.folder(name)
+        if folder.exists():
+            raise StoreError(f"runs/{name} exists: choose another name")
+        self.start(folder, verb, str(self.save(name, text)), "--out", str(folder))
+        return folder
+
+    def go_on(self, folder: Path) -> None:
+        """Put a stopped or undecided run, or a job, into the queue again."""
+        scene = self.root / f"{folder.name}.toml"
+        if kind_of(folder) == JOB:
+            kept = scene if scene.is_file() else folder / "job.toml"
+            self.start(folder, "job", str(kept), "--out", str(folder))
+        elif checkpoint.stored(folder) or (folder / "summary.json").is_file() or not scene.is_file():
+            self.start(folder, "resume", str(folder))
+        else:
+            self.start(folder, "run", str(scene), "--out", str(folder))
+
+    def stop(self, folder: Path) -> None:
+        """Stop a process as Ctrl-C does; it keeps what it has computed."""
+        if alive(folder):
+            with suppress(ProcessLookupError, ValueError):
+                os.killpg(int(read_text(folder / PID)), signal.SIGINT)
+
+    def call(self, *words: str) -> str:
+        """Run a short command and return what it prints. Raises ColdsprayError with its message."""
+        done = subprocess.run(
+            [sys.executable, "-m", "coupler", *words], cwd=self.root, stdin=subprocess.DEVNULL, capture_output=True, text=True
+        )  # fmt: skip
+        if done.returncode:
+            raise ColdsprayError(done.stderr.strip().removeprefix("coldspray: "))
+        return done.stdout
+
+    def delete(self, folder: Path) -> None:
+        """Remove a folder of results, of no other kind and without a process."""
+        if alive(folder) or folder.is_symlink() or not _is_ours(folder):
+            raise StoreError(f"{folder.name} is running, a link, or no folder of a run: it is not deleted")
+        shutil.rmtree(folder)
+
+    def rows(self, below: Path | None = None) -> list[Row]:
+        """All folders of results below a folder, by default `runs`, the latest first; those within another are parts of it."""
+        found = []
+        for place, folders, _ in os.walk(below or self.runs):
+            for name in sorted(folders):
+                if _is_ours(folder := Path(place, name)):
+                    found.append(self.row(folder))
+                    folders.remove(name)
+        return sorted(found, key=lambda row: -row.changed)
+
+    def row(self, folder: Path) -> Row:
+        """What is known of a folder of results; a damaged one says what is wrong."""
+        kind, state, words, changed = kind_of(folder) or RUN, STOPPED, "", 0.0
+        with suppress(OSError):
+            changed = max(path.stat().st_mtime for path in folder.iterdir())
+        log = last_lines(folder / LOG)
+        if alive(folder):
+            state = RUNNING if log else QUEUED
+        elif kind == JOB and (folder / "job.json").is_file():
+            state = FINISHED
+        elif time.time() - changed < RECENT and not (folder / LOG).exists():
+            state = RUNNING
+        try:
+            with reading(folder):
+                if kind == RUN and (folder / "plan.json").is_file():
+                    result = Result(folder)
+                    kind = COATING if len(result.plan.get("impacts", ())) > 1 else RUN
+                    words = " · ".join([title(result), *verdict(result.summary)[:1]])
+                    if result.finished and not alive(folder):
+                        state = FINISHED if result.undecided is None else UNDECIDED
+                elif log:
+                    words = log.splitlines()[-1]
+        except ColdsprayError as error:
+            state, words = DAMAGED, str(error)
+        return Row(folder.relative_to(self.runs).as_posix(), kind, state, words, changed)
+
+
+def _is_ours(folder: Path) -> bool:
+    return kind_of(folder) in KINDS or (folder / LOG).is_file()
+
+
+def alive(folder: Path) -> bool:
+    """Whether a process of the page is at work on a folder: it holds the lock of the log, whichever server has started it."""
+    try:
+        with (folder / LOG).open() as log:
+            fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def last_lines(path: Path, most: int = 1) -> str:
+    """The last lines of a text file, "" without one."""
+    with suppress(StoreError):
+        return "\n".join(read_text(path).strip().splitlines()[-most:])
+    return ""

@@ -1,0 +1,36 @@
+"""The command `coldspray app`: forms, runs and results in a browser of this machine."""
+
+import argparse
+import re
+from importlib.resources import files
+from pathlib import Path
+
+from .arguments import Commands, add_command, path
+
+
+def add(commands: Commands) -> None:
+    """Add the command to a parser's subcommands."""
+    option = add_command(commands, "app", run, "forms, runs and results as a page in the browser of this machine")
+    option("folder", type=path, nargs="?", default=Path(), metavar="DIR",
+           help="the workspace: scenes in it, results in DIR/runs (default: this folder)")  # fmt: skip
+    option("--port", type=_port, default=8501, metavar="N", help="of this machine; 0: any free one (default: 8501)")
+    option("--no-browser", action="store_true", help="print the address only")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until Ctrl-C. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..app.server import Workspace, serve
+    from ..files.outputs import check_folder
+    from .accuracy import here
+
+    check_folder(arguments.folder)
+    texts = {kind: files(__package__) / "templates" / f"{kind}.toml" for kind in ("single", "coating", "job")}
+    templates = {kind: re.sub("(?m)^#.*\n", "", text.read_text(encoding="utf-8")) for kind, text in texts.items()}
+    serve(Workspace(arguments.folder, templates, here()), arguments.port, not arguments.no_browser)
+    return 0
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port: give a whole number from 0 to 65535")
+    return int(text)

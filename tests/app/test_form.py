@@ -1,0 +1,61 @@
+"""Fields of a form are the keys of the schema, and the problems at them those of the reader."""
+
+from importlib.resources import files
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from coupler.app.form import entries_of, placed
+from coupler.app.looks import look
+from coupler.app.pages import INPUTS
+from coupler.scene.json_schema import job_schema, scene_schema
+from coupler.scene.toml import changed, texts
+from coupler.studies.pace import Pace
+
+HERE = Pace(1.0, "")
+TEMPLATES = {
+    page.template: (files("coupler.commands") / "templates" / f"{page.template}.toml").read_text() for page in INPUTS
+}
+
+
+@pytest.mark.parametrize("page", INPUTS, ids=lambda page: page.title)
+def test_the_fields_that_are_always_seen_are_keys_of_the_schema(page):
+    assert set(page.main) <= page.entries.keys()
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_values_of_a_form_are_those_of_its_text(name):
+    entries = entries_of(job_schema() if name == "job" else scene_schema())
+    values = texts(TEMPLATES[name], entries)
+    assert values["substrate.material"] in ("SS304", "Al6061")
+    assert changed(TEMPLATES[name], list(values.items())) == TEMPLATES[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "says"),
+    [
+        ("single", "particle.velocity", "500 mm", 'is a length: needs a velocity with its unit, such as "500 m/s"'),
+        ("single", "particle.diameter", "25", "needs a length with its unit"),
+        ("single", "substrate.material", "Unobtainium", "unknown material"),
+        ("coating", "coating.layers", "3", "divide number"), ("job", "gas.pressure", "2 bar", "too low for nozzle"),
+        ("job", "powder.sizes", "45-15 um", "smaller sieve first"), ("job", "within", "1 s", "too short"),
+    ],
+)  # fmt: skip
+def test_the_problem_of_the_reader_stands_at_its_field(tmp_path, name, key, value, says):
+    entries = entries_of(job_schema() if name == "job" else scene_schema())
+    text = changed(TEMPLATES[name], [(key, value)])
+    seen = look(text, tmp_path / "x.toml", "job" if name == "job" else "run", HERE)
+    found = placed(seen.problems, entries)
+    at = found.get(key) or found.get("")  # of a whole table where several keys together are wrong
+    assert says in (at or ""), found
+    assert key in found or name == "coating"
+
+
+def test_a_job_is_answered_by_the_formula_as_it_is_typed(tmp_path):
+    """N2 at 50 bar and 500 degC: Cu of 26 um at 664 m/s, above its critical velocity on both metals (docs/guide/job.md)."""
+    seen = look(TEMPLATES["job"], tmp_path / "x.toml", "", HERE)
+    assert seen.problems == ()
+    assert "Velocity at impact" in seen.numbers[0].label
+    assert [len(figure["data"]) > 3 for figure in seen.drawn] == [True, True]
+    assert len(seen.classes["share"]) == 25
