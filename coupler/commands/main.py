@@ -17,7 +17,7 @@ from .. import __version__
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
-from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, sweep, watch, window
+from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, properties, sweep, watch, window
 from . import arguments as options
 from . import map as maps
 from .arguments import Option
@@ -180,7 +180,8 @@ def _parser() -> argparse.ArgumentParser:
            help='time until which the last impact continues, such as "300 ns" (default: the same time again, for a run that ended at'
            " its time limit; a run that met its end criterion without a verdict needs --until)")  # fmt: skip
     _add_running(option)
-    for command in (new, job, app, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
+    studies = accuracy, sweep, maps, critical
+    for command in (new, job, app, watch, materials, gas, window, mesh, coating, properties, *studies):
         command.add(commands)
     option = options.add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')

@@ -16,7 +16,7 @@ from ..files.result import COLD, Result
 from ..files.store import PICTURE, PLAN, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
 from ..impact.domains import build_target, restored_target
-from ..impact.recorder import VTK_ORDER, cell_fields
+from ..impact.recorder import VTK_ORDER, cell_fields, joint_fields
 from ..impact.run import RunOptions
 from ..impact.summary import ImpactRecord
 from ..plan.batches import Batch
@@ -173,7 +173,7 @@ class Deposition:
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
         t = target.target
         thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
-        self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, {}, thermal)
+        self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, joint_fields(target), thermal)
         return target
 
     def finish(self, target: Bodies) -> None:

@@ -168,6 +168,12 @@ class Result:
         grid.field_data["time"] = [fields.time]
         return grid
 
+    def properties(self, **options: Any) -> Any:
+        """Effective stiffness and conductivities of the cold coating: `coupler.properties.measure.Properties`, with the options of
+        `properties` there, which says what is raised."""
+        # loaded here: it computes, and reading results needs no solver
+        return import_module("coupler.properties.measure").properties(self, **options)
+
     def history_frame(self) -> "pandas.DataFrame":
         """history.csv as a pandas table. Raises as `history`, and StoreError if pandas is not installed."""
         with _optional("pandas"):

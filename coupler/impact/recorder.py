@@ -52,6 +52,18 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
+def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
+    """What holds the nodes of bodies at rest. bonded: share of the strength that the bond of a node has left, 0 without one; touching:
+    1 where a contact presses the node on another body."""
+    bonded, touching = np.zeros((2, len(bodies.target.nodes.x)))
+    if (bond := bodies.bond) is not None:
+        bonded[bond.nodes[~bond.broken]] = 1.0 - bond.damage[~bond.broken]
+    if (contact := bodies.contact) is not None:
+        nodes = contact.pairs.points.node
+        touching[nodes[contact.pairs.touching(len(nodes))[0]]] = 1.0
+    return {"bonded": bonded, "touching": touching}
+
+
 class Recorder:
     """Writes one impact to the files of its run. before: simulated time (s) of the earlier impacts."""
 

@@ -1,0 +1,139 @@
+"""A rectangular block cut out of a coating: its tetrahedra, and where the bodies in it are bonded or touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact.surfaces import Surfaces, earlier_neighbours, interface
+from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.triangles import area_vectors, compact
+
+EDGES = np.array(list(combinations(range(4), 2)))
+SNAP = 0.02  # element sizes: nodes that near a face of the block are put on it, so that no sliver is cut off
+SLIVER = 1e-9  # element sizes cubed: less volume have elements that those nodes have made flat: they are left out
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Nodes of some bodies on facets of others. nodes (n,); triangles (n,3), weights (n,3): of the point opposite; normal (n,3) of the
+    facet, outwards; gap (n,) m; area (n,) m2; bonded (n,): they share the displacement; else they touch."""
+
+    nodes: NDArray
+    triangles: NDArray
+    weights: NDArray
+    normal: NDArray
+    gap: NDArray
+    area: NDArray
+    bonded: NDArray
+
+    def only(self, which: NDArray) -> Joints:
+        """The rows of a mask (n,)."""
+        return Joints(*(values[which] for values in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Block:
+    """points (n,3) m; tets (m,4); body (m,): of each, bodies share no nodes; low, high (3,) m: corners; walls: facets (k,3) on the
+    faces of the block, normals outwards; joints: between the bodies."""
+
+    points: NDArray
+    tets: NDArray
+    body: NDArray
+    low: NDArray
+    high: NDArray
+    walls: NDArray
+    joints: Joints
+
+    @property
+    def volume(self) -> float:
+        """Volume of the block, pores included, m3."""
+        return float(np.prod(self.high - self.low))
+
+    @property
+    def solid(self) -> float:
+        """Share of the volume that is metal."""
+        return float(volumes(self.points, self.tets).sum()) / self.volume
+
+
+def cut_out(
+    points: NDArray, tets: NDArray, body: NDArray, at_nodes: NDArray, low: NDArray, high: NDArray, size: float
+) -> Block:
+    """The block between the corners low and high (3,) m of bodies of tetrahedra.
+
+    body (m,); at_nodes (n,2): 1 where a node is bonded, and where it touches another body without a bond, else 0; size m: of an
+    element. Nodes within 0.6 of it (as when a splat joins the target) face each other at a joint.
+    """
+    for axis in range(3):
+        for wall, sign in ((low[axis], -1.0), (high[axis], 1.0)):
+            off = sign * (points[:, axis] - wall)
+            near = np.abs(off) < SNAP * size
+            points, off = points.copy(), np.where(near, 0.0, off)
+            points[near, axis] = wall
+            points, tets, body, at_nodes = clip(points, tets, body, at_nodes, off, SLIVER * size**3)
+    faces, behind = boundary_faces(tets)
+    ends = np.stack([low, high])  # each corner of a facet on a face has the coordinate of one end
+    on_wall = (abs(points[faces][:, :, None] - ends) < 1e-9 * (high - low).max()).all(axis=1).any(axis=(1, 2))
+    inner, behind = faces[~on_wall], behind[~on_wall]
+    number = np.unique(body[behind], return_inverse=True)[1]  # of the bodies with a surface inside the block
+    joints = _joints(Surfaces(inner, number, behind), points, at_nodes, 0.6 * size)
+    return Block(points, tets, body, low, high, faces[on_wall], joints)
+
+
+def clip(
+    points: NDArray, tets: NDArray, body: NDArray, values: NDArray, off: NDArray, least: float
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """What of tetrahedra lies where a linear field off (n,), given at the nodes, is negative; values (n,k) are carried to new nodes;
+    less than a volume `least` is left out.
+
+    Each edge that the plane cuts gets a node. A tetrahedron is halved at the first of its cut edges, by their numbers, until none is
+    cut: neighbours halve the face that they share in the same order, so that the mesh stays conforming.
+    """
+    ends = np.sort(tets[:, EDGES], axis=-1).reshape(-1, 2)
+    cut = ends[off[ends].prod(axis=1) < 0.0]
+    n = len(points)
+    keys = np.unique(cut[:, 0] * n + cut[:, 1])
+    a, b = np.divmod(keys, n)
+    share = (off[a] / (off[a] - off[b]))[:, None]
+    points = np.concatenate([points, points[a] + share * (points[b] - points[a])])
+    values = np.concatenate([values, values[a] + share * (values[b] - values[a])])
+    off = np.concatenate([off, np.zeros(len(keys))])
+    while True:
+        ends = np.sort(tets[:, EDGES], axis=-1)
+        key = np.where(off[ends].prod(axis=2) < 0.0, ends[..., 0] * n + ends[..., 1], np.iinfo(np.int64).max)
+        first = key.argmin(axis=1)
+        halved = np.flatnonzero(key.min(axis=1) < np.iinfo(np.int64).max)
+        if len(halved) == 0:
+            break
+        middle = n + np.searchsorted(keys, key[halved, first[halved]])
+        other = tets[halved]
+        tets, body = np.concatenate([tets, other]), np.concatenate([body, body[halved]])
+        tets[halved, EDGES[first[halved], 0]] = middle
+        tets[np.arange(len(tets) - len(other), len(tets)), EDGES[first[halved], 1]] = middle
+    kept = (off[tets] <= 0.0).all(axis=1) & (off[tets] < 0.0).any(axis=1) & (volumes(points, tets) > least)
+    used = np.zeros(len(points), bool)
+    used[tets[kept]] = True
+    points, tets = compact(points, tets[kept])
+    return points, tets, body[kept], values[used]
+
+
+def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
+    """Joints of each body to the bodies before it: bonds are the later body's nodes; either side may touch."""
+    found = []
+    near = earlier_neighbours(surfaces, points, reach) if len(surfaces.facets) else []
+    for later in (number for number, earlier in enumerate(near) if earlier):
+        pairs = interface(surfaces, points, later, reach, near[later])
+        triangles = surfaces.facets[pairs.facet]
+        bonded = at_nodes[pairs.nodes, 0] > 0.5
+        touches = np.maximum(at_nodes[pairs.nodes, 1], at_nodes[triangles, 1].max(axis=1)) > 0.5
+        normal = area_vectors(points, triangles)
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        kept = (pairs.area > 0.0) & (bonded | touches)
+        found.append(Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded).only(kept))
+    n, three = np.zeros(0), np.zeros((0, 3))
+    none = Joints(n.astype(int), three.astype(int), three, three, n, n, n.astype(bool))
+    columns = zip(*(vars(each).values() for each in [none, *found]), strict=True)
+    return Joints(*(np.concatenate(column) for column in columns))

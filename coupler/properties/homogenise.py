@@ -1,0 +1,196 @@
+"""Effective stiffness and conductivity of a block under uniform boundary conditions, by conjugate gradients.
+
+kinematic: u = E x on all faces, an upper bound for a block of any size; static: uniform traction, the lower bound (Hill (1963), J.
+Mech. Phys. Solids 11, 357; Huet (1990), ibid. 38, 813). mixed: some components of E x, in shear those of Pahr & Zysset (2008), Biomech.
+Model. Mechanobiol. 7, 463; it lies between both (Hazanov & Huet (1994), J. Mech. Phys. Solids 42, 1995). Of conduction: temperature
+on all faces; uniform flux; temperature on two opposite faces, the others insulated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_array, csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import cg
+
+from ..errors import SolverError
+from ..fe.statics import gradient_products
+from ..geometry.triangles import area_vectors
+from .block import Block, Joints
+
+VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+TOLERANCE = 1e-6  # of the residual: the energy is then right to some 1e-9
+ITERATIONS = 3000  # more are needed where a part hangs by a hinge: then uniform traction bends it without limit
+LEAST = 1e-3  # of the largest eigenvalue of a stiffness: less has what hangs by a hinge
+TOUCHING = 100.0  # stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Equations of a block of n nodes. K: their matrix, W/K or N/m, component after component; x (n,3) m; bonds: nodes that share the
+    value of the point opposite; components: 3 of the displacement, 1 of temperature; on (3,n): nodes on the faces normal to each axis;
+    area (3,n) m2: of the faces, outwards, that each stands for; volume m3."""
+
+    K: csr_array
+    x: NDArray
+    bonds: Joints
+    components: int
+    on: NDArray
+    area: NDArray
+    volume: float
+
+    def uniform(self, vectors: NDArray) -> NDArray:
+        """Fields (loads, components n) of vectors (n,3): their components, or their products with unit tensors, in shear of two halves.
+        Of positions: linear fields of unit gradients, or strains; of areas: fluxes, or forces of uniform stresses."""
+        if self.components == 1:
+            return np.asarray(vectors.T)
+        unit = np.zeros((6, 3, 3))
+        for k, (i, j) in enumerate(VOIGT):
+            unit[k, i, j] += 0.5
+            unit[k, j, i] += 0.5
+        return np.asarray(np.einsum("kij,nj->kin", unit, vectors).reshape(6, -1))
+
+    def kinematic(self) -> NDArray:
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK where the faces follow the linear fields."""
+        held = np.tile(self.on.any(axis=0), self.components)
+        return self._driven([held] * (6 if self.components == 3 else 3))
+
+    def mixed(self) -> NDArray:
+        """The same where the faces follow them in some components only; blocks that do not share them are left zero."""
+        if self.components == 1:
+            return self._driven(list(self.on))
+        held = np.zeros((6, 3, len(self.x)), bool)
+        held[:3] = self.on
+        for k, (i, j) in enumerate(VOIGT[3:], 3):
+            third = 3 - i - j
+            held[k, third] = self.on.any(axis=0)
+            held[k, j], held[k, i] = self.on[i], self.on[j]
+        return self._driven(list(held.reshape(6, -1)))
+
+    def static(self) -> NDArray | None:
+        """The same under uniform tractions or fluxes on the metal of the faces, their resultant and moment taken up by the volume. None
+        where a part of the block hangs by less than three points, which bends without limit."""
+        loads = self.uniform(self.area.T).T
+        T, free = self._leads(np.zeros(len(loads), bool))
+        K = csr_array(T.T @ self.K @ T)
+        part = connected_components(K, directed=False)[1]
+        kept = np.flatnonzero(part == np.bincount(part).argmax())  # the rest, which does not hang on it, bears nothing
+        K, loads, basis = K[kept][:, kept], (T.T @ loads)[kept], np.linalg.qr(self._rigid()[free[kept]])[0]
+        loads -= basis @ (basis.T @ loads)
+        answer = np.zeros_like(loads)
+        for k in range(loads.shape[1]):
+            answer[:, k], failed = _solved(K, loads[:, k])
+            if failed:
+                return None
+        stress = np.linalg.inv(self.uniform(self.x)[:, free[kept]] @ loads / self.volume)
+        compliance = stress.T @ (loads.T @ answer / self.volume) @ stress
+        stiffness = np.linalg.inv(0.5 * (compliance + compliance.T))
+        least, *_, most = np.linalg.eigvalsh(stiffness)
+        return stiffness if least > LEAST * most else None
+
+    def _driven(self, held: list[NDArray]) -> NDArray:
+        """Energies of the loads, per volume, where the components `held` follow the linear fields. Raises SolverError."""
+        answer = self.uniform(self.x).copy()
+        alike = [next(k for k, own in enumerate(held) if (own == each).all()) for each in held]
+        for first in dict.fromkeys(alike):
+            T, free = self._leads(held[first])
+            K, own = csr_array(T.T @ self.K @ T), held[first][free]
+            inner, outer = K[~own][:, ~own], K[~own][:, own]
+            for k in np.flatnonzero(np.equal(alike, first)):
+                part = answer[k, free]
+                part[~own], failed = _solved(inner, -outer @ part[own])
+                if failed:
+                    raise SolverError(
+                        f"the block is not solved in {ITERATIONS} iterations: take a smaller one (--side)"
+                    )
+                answer[k] = T @ part
+        energy = answer @ (self.K @ answer.T) / self.volume
+        return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
+
+    def _leads(self, held: NDArray) -> tuple[csr_array, NDArray]:
+        """Matrix (components n, f) from the free values to all, and which these are (f,): bonds lead what is not held. What leads may
+        itself be led, by an earlier body."""
+        first = len(self.x) * np.arange(self.components)[:, None]
+        nodes = (first + self.bonds.nodes).ravel()
+        leaders = (first[..., None] + self.bonds.triangles).reshape(-1, 3)
+        weights, led = np.tile(self.bonds.weights, (self.components, 1)), np.zeros(len(held), bool)
+        bonded = ~held[nodes]
+        nodes, leaders, weights = nodes[bonded], leaders[bonded], weights[bonded]
+        led[nodes] = True
+        free = np.flatnonzero(~led)
+        at = np.concatenate([free, np.repeat(nodes, 3)]), np.concatenate([free, leaders.ravel()])
+        step = csr_array((np.concatenate([np.ones(len(free)), weights.ravel()]), at), shape=(len(held), len(held)))
+        T = step
+        while abs(T[:, led]).sum() > 0.0:
+            T = T @ step
+        return csr_array(T[:, free]), free
+
+    def _rigid(self) -> NDArray:
+        """Fields of no energy (components N, modes): translations and rotations, or a constant."""
+        n = len(self.x)
+        if self.components == 1:
+            return np.ones((n, 1))
+        x, modes = self.x - self.x.mean(axis=0), np.zeros((3, n, 6))
+        for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+            modes[k, :, k] = 1.0
+            modes[i, :, 3 + k], modes[j, :, 3 + k] = -x[:, j], x[:, i]
+        return modes.reshape(3 * n, 6)
+
+
+def elastic(block: Block, lame: NDArray, shear: NDArray) -> Problem:
+    """The elastic problem; lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the points opposite; what
+    touches slides without friction and bears pressure, and tension as far as this is no more than the residual pressure."""
+    of_lame, of_shear = (gradient_products(block.points, block.tets, each) for each in (lame, shear))
+    laplacian = of_shear[0][0] + of_shear[1][1] + of_shear[2][2]
+    rows = [
+        [of_lame[i][j] + of_shear[j][i] + (laplacian if i == j else 0.0 * laplacian) for j in range(3)]
+        for i in range(3)
+    ]
+    K = csr_array(block_array(rows, format="csr"))
+    touching = block.joints.only(~block.joints.bonded)
+    if len(touching.nodes):
+        jump = _jump(touching, len(block.points))
+        across = csr_array(block_array([[diags_array(touching.normal[:, i]) @ jump for i in range(3)]], format="csr"))
+        size = float(np.cbrt(block.volume / len(block.tets)))
+        spring = TOUCHING * float((lame + 2.0 * shear).max()) / size * touching.area
+        K = csr_array(K + across.T @ diags_array(spring) @ across)
+    return _problem(block, K, 3)
+
+
+def conducting(block: Block, conductivity: NDArray, conductance: float) -> Problem:
+    """The problem of conduction; conductivity (m,) W/mK of each tetrahedron, conductance W/(m2 K) of what touches without a bond.
+    Bonded nodes have the temperature of the points opposite."""
+    products = gradient_products(block.points, block.tets, conductivity)
+    K = products[0][0] + products[1][1] + products[2][2]
+    touching = block.joints.only(~block.joints.bonded)
+    jump = _jump(touching, len(block.points))
+    return _problem(block, csr_array(K + jump.T @ diags_array(conductance * touching.area) @ jump), 1)
+
+
+def _jump(joints: Joints, n: int) -> csr_array:
+    """The difference (k,n) between each node of the joints and the point opposite."""
+    rows = np.repeat(np.arange(len(joints.nodes)), 4)
+    columns = np.column_stack([joints.nodes, joints.triangles]).ravel()
+    values = np.column_stack([np.ones(len(joints.nodes)), -joints.weights]).ravel()
+    return csr_array((values, (rows, columns)), shape=(len(joints.nodes), n))
+
+
+def _problem(block: Block, K: csr_array, components: int) -> Problem:
+    """The problem with the faces of the block."""
+    n = len(block.points)
+    area, on, vectors = np.zeros((3, n)), np.zeros((3, n), bool), area_vectors(block.points, block.walls)
+    for axis in range(3):
+        area[axis] = np.bincount(block.walls.ravel(), np.repeat(vectors[:, axis] / 3.0, 3), n)
+        on[axis, block.walls[abs(vectors[:, axis]) > 0.5 * np.linalg.norm(vectors, axis=1)]] = True
+    return Problem(K, block.points, block.joints.only(block.joints.bonded), components, on, area, block.volume)
+
+
+def _solved(K: csr_array, load: NDArray) -> tuple[NDArray, bool]:
+    """The solution, and whether it was not found in ITERATIONS. The matrix may be singular where the load does no work."""
+    diagonal = K.diagonal()
+    scale = diags_array(1.0 / np.where(diagonal > 0.0, diagonal, 1.0))
+    x, unfinished = cg(K, load, rtol=TOLERANCE, maxiter=ITERATIONS, M=scale)
+    return x, bool(unfinished)

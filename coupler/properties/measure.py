@@ -1,0 +1,216 @@
+"""Effective properties of a coating from its run: which block, its stiffness and conductivities, and their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+from ..files.result import Result
+from ..geometry.tetrahedra import volumes
+from ..physics.materials import Material
+from ..plan.record import read_plan
+from ..studies.coating import COLUMN, Columns, SeedError, Splats, disc_radius, read
+from ..studies.coating_seeds import seed_error
+from .block import Block, cut_out
+from .homogenise import Problem, conducting, elastic
+
+# Conductance of facets that touch through their oxide films, greatest and least, W/(m2 K): two interfaces of metal and oxide in series,
+# each from 1.1 GW/(m2 K), within 40 % of the most that is possible (Wilson, Apgar, Hsieh, Martin & Cahill (2015), Phys. Rev. B 91,
+# 115414), to 30 MW/(m2 K) (Monachon, Weber & Dames (2016), Annu. Rev. Mater. Res. 46, 433; second-hand). The film itself, some nm of
+# oxide of 1 W/mK and more, resists less; so does the constriction at surfaces that have flowed into each other.
+CONDUCTANCE = (5.5e8, 1.5e7)
+# Of electricity: all or nothing. A film of 1 nm lets electrons tunnel with some 1e-12 Ohm m2, less than a splat of 10 um has, one of 3
+# nm with 1e-8 (Holm (1967), Electric Contacts, 4th ed.; second-hand). In conductances of an element:
+CONTACT, INSULATED = 1e3, 1e-6
+LORENZ = 2.44e-8  # W Ohm/K2: law of Wiedemann and Franz, Sommerfeld's value
+ROOM = 300.0  # K
+LEAST_SPLATS, FEW_SPLATS = 2.0, 30.0  # in the volume of a block: fewer are refused, or warned of
+GROUND, TOP = 0.99, 0.1  # quantiles of the heights of substrate and coating between which a block lies
+KINDS = {  # of property: name, unit, factor on SI for a screen, unit then
+    "E": ("Young's modulus", "Pa", 1e-9, "GPa"), "G": ("shear modulus", "Pa", 1e-9, "GPa"),
+    "k": ("heat conductivity", "W/mK", 1.0, "W/mK"), "sigma": ("electric conductivity", "S/m", 1e-6, "MS/m"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """A property of the bulk, and of the block under each condition; static None: a part hangs loose, and the bound is zero. unit: SI.
+    error: standard error of the mixed one, from the four quarters of the block, None where they are too small; size: mixed of the
+    block less the mean of the quarters."""
+
+    unit: str
+    bulk: float
+    kinematic: float
+    mixed: float
+    static: float | None
+    error: float | None = None
+    size: float | None = None
+
+
+@dataclass(frozen=True)
+class Properties:
+    """Effective properties of a block of a cold coating.
+
+    side, height m: of the block; splats: how many fill its volume; solid: share of it that is metal; open_share: of its columns, whose
+    metal ends below its top; bonded: share of the area of joints that is bonded; gap: volume between bonded surfaces, which counts as
+    metal, over that of the block; stiffness: 6x6 Pa in Voigt's order (xx yy zz yz xz xy) by condition, static None as in `Bracket`;
+    values: property -> its bracket; warnings.
+    """
+
+    side_m: float
+    height_m: float
+    elements: int
+    splats: float
+    solid: float
+    open_share: float
+    bonded: float
+    gap: float
+    stiffness: dict[str, list[list[float]] | None]
+    values: dict[str, Bracket]
+    warnings: list[str]
+
+
+def properties(
+    result: Result, side: float | None = None, heights: tuple[float, float] | None = None, conductance: float | None = None
+) -> Properties:  # fmt: skip
+    """Effective properties of a run's cold coating.
+
+    side: of the block in the plane, m (default: the square in the disc that `coating` measures); heights: its lowest and highest z, m
+    (default: from above 99 % of the substrate to below 90 % of the tops); conductance: of facets that touch, W/(m2 K) (default:
+    CONDUCTANCE). Raises StoreError where the run has no cold coating, or the block is too small for its splats.
+    """
+    splats = read(result)
+    if not splats.is_cold:
+        raise StoreError(
+            f'{result.directory} has no cold coating: add at = "cold" under [end], and run the scene again'
+        )
+    if not {"bonded", "touching"} <= set(splats.mesh.data):
+        raise StoreError(
+            f"{result.directory}: cold.vtkhdf does not say which nodes are bonded: run the scene again with this version"
+        )
+    plan = read_plan(result.directory)
+    metals = [plan.impacts[max(number, 1) - 1].material for number in splats.impact]
+    low, high, open_share = _corners(splats, side, heights)
+    whole, half = _cut(splats, metals, low, high), 0.5 * (high - low) * [1.0, 1.0, 0.0]
+    sides = [half * [i, j, 0.0] for i in (0.0, 1.0) for j in (0.0, 1.0)] if whole.splats >= 4.0 * LEAST_SPLATS else []
+    quarters = [_cut(splats, metals, low + aside, high - half + aside) for aside in sides]
+    return _measured(whole, quarters, CONDUCTANCE if conductance is None else (conductance, conductance), open_share)
+
+
+def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:
+    """The error of each mixed property from runs of other seeds; none of one run."""
+    if len(several) < 2:
+        return {}
+    shared = [key for key in several[0].values if all(key in each.values for each in several)]
+    return {key: seed_error([each.values[key].mixed for each in several]) for key in shared}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A block, the metals of all bodies, and splats in its volume."""
+
+    block: Block
+    metals: list[Material]
+    splats: float
+
+    def of_each(self, value: Callable[[Material], float]) -> NDArray:
+        """A value of the metal of each tetrahedron (m,)."""
+        return np.array([value(metal) for metal in self.metals])[self.block.body]
+
+    def mean(self, value: Callable[[Material], float]) -> float:
+        """Mean over the metal's volume."""
+        return float(np.average(self.of_each(value), weights=volumes(self.block.points, self.block.tets)))
+
+
+def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
+    """Lowest and highest corner (3,) m of the block that is asked for, and the share of its columns whose metal ends below its top.
+    Raises StoreError where it reaches into the substrate."""
+    half = disc_radius(splats) / np.sqrt(2.0) if side is None else 0.5 * side
+    columns = Columns(splats, (0.0, 0.0), np.sqrt(2.0) * half, 2.0 * COLUMN * splats.element_size)
+    inside = np.maximum(abs(columns.x), abs(columns.y)) <= half
+    ground, top = columns.highest(columns.substrate)[inside], columns.highest(columns.matter)[inside]
+    least = float(np.quantile(ground, GROUND))
+    bottom, roof = (least, max(float(np.quantile(top, TOP)), least)) if heights is None else heights
+    if bottom < least or bottom >= roof:
+        raise StoreError(
+            f"--heights: give two heights, the lower one above the substrate, which ends at {1e6 * least:.1f} um"
+        )
+    return np.array([-half, -half, bottom]), np.array([half, half, roof]), float((top < roof).mean())
+
+
+def _cut(splats: Splats, metals: list[Material], low: NDArray, high: NDArray) -> Sample:
+    """The block between two corners (3,) m. Raises StoreError where it is too small for its splats."""
+    mesh, own = splats.mesh, splats.body > 0
+    of_splat = np.abs(volumes(mesh.points, mesh.cells[own])).sum() / max(len(splats.impact) - 1, 1)
+    held = float(np.prod(high - low) / of_splat)
+    if held < LEAST_SPLATS:
+        edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
+        raise StoreError(
+            f"a block of {edges} um holds {held:.1f} splats, of {LEAST_SPLATS:.0f} that it needs: take a larger one (--side,"
+            " --heights), or spray more particles"
+        )
+    at_nodes = np.stack([mesh.data["bonded"] > 0, mesh.data["touching"] > 0], axis=1).astype(float)
+    block = cut_out(mesh.points, mesh.cells[own], splats.body[own], at_nodes, low, high, splats.element_size)
+    return Sample(block, metals, held)
+
+
+def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, float], open_share: float) -> Properties:
+    """The properties of a block, with the error from its quarters."""
+    block, joints, problem = whole.block, whole.block.joints, _elastic(whole)
+    kinematic, mixed, static = problem.kinematic(), problem.mixed(), problem.static()
+    parts = [moduli(_elastic(quarter).mixed()) for quarter in quarters]
+    bulk = {"E": whole.mean(lambda metal: metal.E), "G": whole.mean(lambda metal: metal.G)}
+    most, least, values = moduli(kinematic), {} if static is None else moduli(static), {}
+    for name, value in moduli(mixed).items():
+        several = np.array([part[name] for part in parts])
+        error = float(several.std(ddof=1)) / math.sqrt(len(parts)) if parts else None
+        size = value - float(several.mean()) if parts else None
+        values[name] = Bracket("Pa", bulk[name[0]], most[name], value, least.get(name), error, size)
+    area, edges = float(joints.area.sum()), (block.high - block.low).tolist()
+    few = f"the block holds {whole.splats:.0f} splats: take the error from other seeds"
+    return Properties(
+        side_m=edges[0], height_m=edges[2], elements=len(block.tets), splats=whole.splats,
+        solid=block.solid, open_share=open_share, bonded=float(joints.area @ joints.bonded) / area if area else 0.0,
+        gap=float(joints.area @ abs(joints.gap)) / block.volume,
+        stiffness={
+            "kinematic": kinematic.tolist(), "mixed": mixed.tolist(), "static": None if static is None else static.tolist()
+        },
+        values=values | _conduction(whole, conductance), warnings=[few] if whole.splats < FEW_SPLATS else [],
+    )  # fmt: skip
+
+
+def moduli(stiffness: NDArray) -> dict[str, float]:
+    """Young's and shear moduli, Pa, in plane (for the mean compliance of x and y) and across, of a stiffness (6,6) Pa."""
+    least = 1e-12 * abs(stiffness).max() * np.eye(6)  # where all is loose
+    S = np.linalg.inv(stiffness + least).diagonal().tolist()
+    return {
+        "E_in_plane": 2.0 / (S[0] + S[1]), "E_across": 1.0 / S[2],
+        "G_in_plane": 1.0 / S[5], "G_across": 2.0 / (S[3] + S[4]),
+    }  # fmt: skip
+
+
+def _elastic(sample: Sample) -> Problem:
+    return elastic(sample.block, sample.of_each(lambda m: m.K - 2.0 / 3.0 * m.G), sample.of_each(lambda m: m.G))
+
+
+def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, Bracket]:
+    """Conductivities of heat, W/mK, and of electricity, S/m, at the greatest and the least conductance of what touches; of the bulk
+    metal's electric one by the law of Wiedemann and Franz."""
+    bulk, block = sample.of_each(lambda m: m.k_at(ROOM)), sample.block
+    mean, values = sample.mean(lambda m: m.k_at(ROOM)), {}
+    of_element = mean / float(np.cbrt(block.volume / len(block.tets)))
+    electric = (CONTACT * of_element, INSULATED * of_element)
+    for name, factor, conductances in (("k", 1.0, conductance), ("sigma", 1.0 / (LORENZ * ROOM), electric)):
+        for end, h in zip(("", "_at_least"), conductances[: 2 - block.joints.bonded.all()], strict=False):
+            problem = conducting(block, bulk, h)
+            kinematic, mixed, static = problem.kinematic(), problem.mixed(), problem.static()
+            for direction, axes in (("in_plane", [0, 1]), ("across", [2])):
+                most, between = (factor * float(C.diagonal()[axes].mean()) for C in (kinematic, mixed))
+                lowest = None if static is None else factor * float(static.diagonal()[axes].mean())
+                values[f"{name}_{direction}{end}"] = Bracket(KINDS[name][1], factor * mean, most, between, lowest)
+    return values

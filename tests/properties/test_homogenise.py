@@ -1,0 +1,202 @@
+"""Blocks cut by hand, whose effective stiffness and conductivity are known in closed form or bounded."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coupler.geometry.tetrahedra import boundary_faces, volumes
+from coupler.properties.block import Block, Joints, cut_out
+from coupler.properties.homogenise import conducting, elastic
+from coupler.properties.measure import moduli
+
+E, NU, K_HEAT = 207e9, 0.31, 91.0  # nickel: Pa, W/mK
+LAME, SHEAR = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
+UM = 1e-6
+KINDS = ("kinematic", "mixed", "static")
+
+
+def isotropic(lame: float, shear: float) -> np.ndarray:
+    C = np.diag([2 * shear] * 3 + [shear] * 3)
+    C[:3, :3] += lame
+    return C
+
+
+def box(cells: tuple[int, int, int], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A box in tetrahedra, six for each cell."""
+    nx, ny, nz = cells
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = np.arange(len(points)).reshape(nx + 1, ny + 1, nz + 1)
+    unit = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
+    cube = np.stack([corner[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in unit], axis=1)
+    ways = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+    tets = cube[:, ways].reshape(-1, 4)
+    return points, np.where((volumes(points, tets) < 0)[:, None], tets[:, [0, 1, 3, 2]], tets)
+
+
+def stack(
+    heights: list[float], n: int = 4, side: float = 10 * UM, joint: str = "bonded", radius: float = np.inf
+) -> Block:
+    """Layers one on another, bodies of their own with equal meshes of n by n cells, joined within a radius of the axis."""
+    points, tets, body, z = [], [], [], 0.0
+    for number, height in enumerate(heights):
+        layers = max(round(n * height / side), 1)
+        x, t = box((n, n, layers), np.array([-side / 2, -side / 2, z]), np.array([side / 2, side / 2, z + height]))
+        tets.append(t + sum(map(len, points)))
+        points.append(x)
+        body.append(np.full(len(t), number))
+        z += height
+    x = np.concatenate(points)
+    near = np.hypot(x[:, 0], x[:, 1]) <= radius
+    at_nodes = np.stack([near * (joint == "bonded"), near * (joint == "touching")], axis=1).astype(float)
+    corner = np.array([side / 2, side / 2, 0.0])
+    top = np.array([0.0, 0.0, z])
+    return cut_out(x, np.concatenate(tets), np.concatenate(body), at_nodes, -corner, corner + top, 1e-2 * side / n)
+
+
+def stiffness(block: Block, kind: str, factor: np.ndarray | float = 1.0) -> np.ndarray:
+    whole = np.ones(len(block.tets)) * factor
+    return getattr(elastic(block, LAME * whole, SHEAR * whole), kind)()
+
+
+def conductivity(block: Block, kind: str, factor: np.ndarray | float = 1.0, conductance: float = 1.0) -> np.ndarray:
+    return getattr(conducting(block, K_HEAT * np.ones(len(block.tets)) * factor, conductance), kind)()
+
+
+@pytest.fixture(scope="module")
+def cut() -> Block:
+    """A block cut out of one body by planes that pass between its nodes."""
+    rng = np.random.default_rng(1)
+    points, tets = box((5, 5, 5), np.zeros(3), np.full(3, 10 * UM))
+    moved = points + rng.uniform(-0.25, 0.25, points.shape) * UM
+    low, high = np.array([1.3, 2.1, 1.7]) * UM, np.array([8.6, 7.9, 8.2]) * UM
+    body = np.zeros(len(tets), int)
+    return cut_out(moved, tets, body, np.zeros((len(points), 2)), low, high, 2 * UM)
+
+
+def test_a_cut_keeps_the_mesh_whole(cut: Block) -> None:
+    """Without a pore the metal fills the block, but for slivers that are left out, and all free faces lie on its own."""
+    assert cut.solid == pytest.approx(1.0, abs=1e-5)
+    assert len(boundary_faces(cut.tets)[0]) == len(cut.walls)
+    assert volumes(cut.points, cut.tets).min() > 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_body_has_the_constants_of_its_metal(cut: Block, kind: str) -> None:
+    """Linear fields solve it under each condition, whatever the mesh; 1e-6 is ten times the tolerance of the solver."""
+    whole = cut.solid
+    np.testing.assert_allclose(stiffness(cut, kind) / whole, isotropic(LAME, SHEAR), rtol=1e-6, atol=1e-6 * LAME)
+    np.testing.assert_allclose(conductivity(cut, kind) / whole, K_HEAT * np.eye(3), rtol=1e-6, atol=1e-6 * K_HEAT)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bodies_that_are_bonded_everywhere_are_one(kind: str) -> None:
+    """A block cut through into three bodies: what leads a node may itself be led."""
+    block = stack([2.5 * UM, 5 * UM, 2.5 * UM])
+    assert len(block.joints.nodes) == 2 * 25
+    np.testing.assert_allclose(stiffness(block, kind), isotropic(LAME, SHEAR), rtol=1e-6, atol=1e-6 * LAME)
+    np.testing.assert_allclose(conductivity(block, kind), K_HEAT * np.eye(3), rtol=1e-6, atol=1e-6 * K_HEAT)
+
+
+def test_a_laminate_of_two_metals() -> None:
+    """Backus (1962), J. Geophys. Res. 67, 4427: fields are linear in each layer, and meet the mixed conditions. Parallel to the layers
+    the means are arithmetic (Voigt), across them harmonic (Reuss)."""
+    block, soft = stack([2.5 * UM, 5 * UM, 2.5 * UM]), 0.25
+    factor = np.where(block.body == 1, soft, 1.0)
+    C, k = stiffness(block, "mixed", factor), conductivity(block, "mixed", factor)
+    voigt, reuss = 0.5 * (1 + soft), 2 / (1 + 1 / soft)
+    C_33 = LAME + 2 * SHEAR
+    assert C[2, 2] == pytest.approx(reuss * C_33, rel=1e-6)
+    assert C[0, 0] == pytest.approx(voigt * (C_33 - LAME**2 / C_33) + (LAME / C_33) ** 2 * reuss * C_33, rel=1e-6)
+    assert [C[5, 5], C[3, 3]] == pytest.approx([voigt * SHEAR, reuss * SHEAR], rel=1e-6)
+    assert [k[0, 0], k[2, 2]] == pytest.approx([voigt * K_HEAT, reuss * K_HEAT], rel=1e-6)
+    assert stiffness(block, "kinematic", factor)[2, 2] > 1.01 * C[2, 2]
+
+
+@pytest.mark.parametrize("contrast", [0.0, 4.0])
+def test_a_sphere_in_a_metal(contrast: float) -> None:
+    """Hashin & Shtrikman (1962), J. Appl. Phys. 33, 3125, and (1963), J. Mech. Phys. Solids 11, 127: with a share c of spheres the
+    bound on the side of the matrix is also what few spheres have. In a cube under mixed conditions all faces are planes of
+    symmetry: the sphere is one of a cubic array. Linear elements are too stiff, and this sphere is rough: within 15 % of its effect."""
+    n = 12
+    points, tets = box((n, n, n), np.full(3, -5 * UM), np.full(3, 5 * UM))
+    inside = np.linalg.norm(points[tets].mean(axis=1), axis=1) < 2.6 * UM
+    c, half = inside.mean(), np.full(3, 5 * UM)
+    kept = ~inside if contrast == 0.0 else np.ones(len(tets), bool)
+    number = inside[kept].astype(int)  # kept as the body of each element; bodies share nodes here, so that none touches
+    block = cut_out(points, tets[kept], number, np.zeros((len(points), 2)), -half, half, 1e-9)
+    factor = np.where(block.body == 1, contrast, 1.0)
+    K = LAME + 2 / 3 * SHEAR
+    step = 1 / (contrast - 1)
+    bulk = 1 + c / (step + (1 - c) * K / (K + 4 / 3 * SHEAR))
+    heat = 1 + c / (step + (1 - c) / 3)
+    C = stiffness(block, "mixed", factor)
+    found = (C[0, 0] + C[0, 1] + C[0, 2]) / 3 / K, conductivity(block, "mixed", factor)[2, 2] / K_HEAT
+    for value, bound in zip(found, (bulk, heat), strict=True):
+        assert value - bound == pytest.approx(0.0, abs=0.15 * abs(bound - 1))
+        assert value > bound if contrast else value < 1.0
+
+
+def test_a_spot_that_conducts_between_two_halves() -> None:
+    """Holm: a round spot of radius a between two half-spaces has the resistance 1 / (2 a k); in a tube of radius b it is less by
+    (1 - a / b)^1.5 (Cooper, Mikic & Yovanovich (1969), Int. J. Heat Mass Transfer 12, 279). The bonded nodes stand for their own cells,
+    so that the radius is known to a quarter of a cell: 10 %."""
+    side, n = 20 * UM, 20
+    half = stack([side / 2, side / 2], n=n, side=side, radius=4.01 * UM)
+    a = np.sqrt(len(half.joints.nodes) * (side / n) ** 2 / np.pi)
+    extra = side * (1 / conductivity(half, "mixed")[2, 2] - 1 / K_HEAT) / side**2
+    b = side / np.sqrt(np.pi)
+    assert extra == pytest.approx((1 - a / b) ** 1.5 / (2 * a * K_HEAT), rel=0.1)
+
+
+def test_what_touches_bears_pressure_and_slides() -> None:
+    """Two halves that touch all over: across the facets the stiffness is whole, but for the springs of the contact; shear passes by the
+    held faces alone. Heat meets 1 / h in series."""
+    block, h = stack([5 * UM, 5 * UM], joint="touching"), 5e6
+    C = stiffness(block, "mixed")
+    assert C[2, 2] == pytest.approx(LAME + 2 * SHEAR, rel=1e-2)
+    assert moduli(C)["G_across"] < 0.9 * SHEAR
+    assert conductivity(block, "mixed", conductance=h)[2, 2] == pytest.approx(
+        1 / (1 / K_HEAT + 1 / (h * 10 * UM)), rel=1e-6
+    )
+
+
+def test_the_bounds_enclose_and_the_tensors_are_symmetric() -> None:
+    """Hill (1963): kinematic >= mixed >= static, as quadratic forms, of halves that are bonded in part; all are positive."""
+    block = stack([5 * UM, 5 * UM], n=6, radius=3 * UM)
+    problems = [
+        elastic(block, *(np.full(len(block.tets), v) for v in (LAME, SHEAR))),
+        conducting(block, np.full(len(block.tets), K_HEAT), 1.0),
+    ]
+    for problem in problems:
+        most, between, least = problem.kinematic(), problem.mixed(), problem.static()
+        assert least is not None
+        for C in (most, between, least):
+            np.testing.assert_allclose(C, C.T, rtol=1e-9, atol=1e-5 * abs(C).max())
+            assert np.linalg.eigvalsh(C).min() > 0.0
+        for larger, smaller in ((most, between), (between, least)):
+            assert np.linalg.eigvalsh(larger - smaller).min() > -1e-5 * abs(most).max()
+
+
+def test_a_part_that_hangs_loose_has_no_static_bound() -> None:
+    """A half that is bonded along a line aside of its middle turns about it under traction: without limit.
+    Driven by its faces it is held."""
+    block = stack([5 * UM, 5 * UM], radius=-1.0)
+    assert len(block.joints.nodes) == 0
+    assert stiffness(block, "mixed")[2, 2] < 1e-6 * E
+    line = replace(block, joints=_hinge(block))
+    assert stiffness(line, "static") is None
+    assert 0.0 < stiffness(line, "mixed")[2, 2] < LAME
+
+
+def _hinge(block: Block) -> Joints:
+    """Nodes of the upper half on the line y = 2.5 um, bonded to the nodes of the lower half there."""
+    at = np.flatnonzero((abs(block.points[:, 1] - 2.5 * UM) < 1e-9) & (abs(block.points[:, 2] - 5 * UM) < 1e-9))
+    below = np.isin(at, block.tets[block.body == 0])
+    upper, lower = at[~below], at[below]
+    n = len(upper)
+    weights, normal = np.tile([1.0, 0.0, 0.0], (n, 1)), np.tile([0.0, 0.0, 1.0], (n, 1))
+    return Joints(
+        upper, np.repeat(lower[:, None], 3, axis=1), weights, normal, np.zeros(n), np.ones(n), np.ones(n, bool)
+    )
