@@ -11,7 +11,8 @@ ROOT = Path(__file__).parents[1] / "coupler"
 EVERYWHERE = {"errors", "units", "progress", "measures", "caches", "compiling", "core", "__version__"}
 # package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
 ALLOWED: dict[str, set[str]] = {
-    "commands": {"app", "properties", "studies", "report", "deposition", "splat", "files", "plan", "scene", "spray", "physics", "geometry"},
+    "commands": {"app", "properties", "studies", "report", "deposition", "splat", "files", "plan", "scene", "spray", "physics",
+                 "geometry"},
     "app": {"studies", "report", "files", "plan", "scene", "spray", "physics"},
     "properties": {"studies", "fe", "contact", "files", "plan", "physics", "geometry"},
     "studies": {"deposition", "report", "files", "plan", "scene", "spray", "physics", "geometry"},

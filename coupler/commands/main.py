@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 # shared libraries of the system that wheels need
 _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
-_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields", "nicegui": "app"}  # optional package -> its extra
+_EXTRAS = {
+    "sklearn": "maps",
+    "pandas": "fields",
+    "pyvista": "fields",
+    "nicegui": "app",
+}  # optional package -> its extra
 _INTERRUPTED = 130  # 128 + SIGINT, as shells do
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met

@@ -26,8 +26,8 @@ class DistributedParticle:
     """The particle on the root: all its points, on one rank or on several. It has the attributes of `particle.particle.Particle`.
 
     x, v, f_ext (n,3): of all points, in the order in which they were given. Within a chunk of steps x and v are updated only at points
-    that may be in contact. All others, and totals, are from the end of the last chunk. dt s; steps. waited: time, s, for which this rank
-    has waited for others in steps.
+    that may be in contact. All others, and totals, are from the end of the last chunk. dt s; steps. waited: time, s, for which this
+    rank has waited for others in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
