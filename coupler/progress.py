@@ -160,8 +160,8 @@ class Progress:
     def time_to_go(self, now: float) -> float:
         """Remaining wall time, s; nan while it cannot be estimated. now: time.monotonic().
 
-        The pace is that of the time loops, because the forecast of the time between impacts is less accurate. For impacts in batches it
-        is the pace of complete batches.
+        The estimate assumes that the rest of the work is as fast as the work so far. Only the time in loops over steps counts, because
+        the forecast of the time between impacts is less accurate. For impacts in batches, all time after the first batch counts.
         """
         if self._batches is not None:
             return self._to_go_of_batches(now, self._fraction())

@@ -22,7 +22,10 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
 class ContactPast(NamedTuple):
-    """Data from which the contact of another set of bodies continues. nodes (N,): history of each node; sums: as in `Contact`."""
+    """Data of the contact between the previous bodies, from which the contact between the new bodies continues.
+
+    nodes (N,): contact history of each node; sums: sums over all steps so far, as in `Contact`.
+    """
 
     nodes: Histories
     sums: ContactSums = ContactSums()

@@ -125,7 +125,7 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     cores = options.pop("cores")
     if not (cores.isdecimal() and int(cores) > 0):
         raise PlacementError(
-            f"--slurm cores={cores}: give a whole number of at least 1: runs computed at the same time in one Slurm job"
+            f"--slurm cores={cores}: give the number of runs at the same time in one Slurm job, a whole number of at least 1"
         )
     at_once, time = min(int(cores), count), options.pop("time")
     if not re.fullmatch(r"\d+:\d\d:\d\d", time):

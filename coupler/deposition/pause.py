@@ -130,7 +130,8 @@ def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> V
 
 
 def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
-    """A function of a time (s): recovery of all elements at their temperatures; without effect if the plan excludes recovery."""
+    """The function `recover(time)`: dislocations of all elements recover for `time` (s) at the temperature of each element. It does
+    nothing if the plan excludes recovery."""
     if not plan.effects.recovery:
         return lambda _: None
     t = bodies.target

@@ -119,7 +119,7 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
 
 
 def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> TaskResult | ColdsprayError:
-    """The result of `run_task`, or the error of an impact that fails. files: None: in the own folder of the task."""
+    """The result of `run_task`, or the error if the impact fails. files: output files; None: the files in the folder of the task."""
     try:
         if files is not None:
             return run_task(task, options, files)

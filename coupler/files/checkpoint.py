@@ -164,7 +164,8 @@ def _record(kind: type[Any], values: dict[str, Any]) -> object:
         if not isinstance(value, allowed):
             made = _AFTER_JSON.get(type(value))
             if made is None or made not in allowed:
-                raise ValueError(f"{name} of {kind.__name__} is a {type(value).__name__}")
+                wanted = " or ".join(each.__name__ for each in allowed)
+                raise ValueError(f"{name} of {kind.__name__} is a {type(value).__name__}, expected {wanted}")
             values[name] = made(value)
     for name, spec in shapes_of(kind).items():
         value, shape = values[name], values[name].shape

@@ -108,7 +108,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
     # One that died at the wrong moment has counted a step and not yet given it a time.
     times = root.rows("Steps/Values")[: max(count, 0)].astype(np.float64)
     if times.ndim != 1 or not np.isfinite(times).all():
-        raise ValueError("a time is not a number")
+        raise ValueError("Steps/Values has a time that is not a finite number")
     return times
 
 

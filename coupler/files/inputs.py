@@ -198,7 +198,7 @@ def _no_constant(name: str) -> None:
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{text[:20]} is too large for a number")
+        raise ValueError(f"the number {text[:20]} is too large")
     return value
 
 

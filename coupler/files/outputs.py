@@ -142,4 +142,6 @@ def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
         for source in [item / name for name in RUN_FILES] if item.is_dir() else [item]:
             with contextlib.suppress(OSError):
                 if path.samefile(source):
-                    raise StoreError(f"cannot write {path}: it is the same file as {source}, which is read here")
+                    raise StoreError(
+                        f"cannot write {path}: it is the same file as the input {source}; choose another name or folder"
+                    )

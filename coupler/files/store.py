@@ -53,9 +53,11 @@ class Store:
 
     @classmethod
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> "Store":
-        """Create the folder, or remove the files of an earlier run from it, and write scene and plan. force: also replace a
-        finished run, or files of the same names that no run has written; other files are never removed. Raises StoreError if such
-        files exist without `force`, another run writes there, or the folder is not writable."""
+        """Create the folder of a new run and write scene and plan. Run files that were in the folder are removed, all others stay.
+
+        force: the folder may hold a finished or unfinished run, or files with the names of run files that no run has written. Raises
+        StoreError if it holds them without `force`, if another run writes there, or if the folder is not writable.
+        """
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
             check_folder(directory)

@@ -31,7 +31,7 @@ def open3d() -> ModuleType:
         if isinstance(problem.__cause__, KeyboardInterrupt):  # Ctrl-C during the import of its compiled part
             raise problem.__cause__ from None
         raise DependencyError(
-            f"open3d cannot be loaded ({problem}): install it again. The packages open3d-cpu and open3d (with CUDA) have the same"
-            " files, so that removing one breaks the other: remove both, then install one"
+            f"open3d cannot be loaded ({problem}). It is in the package open3d-cpu and, with CUDA, in the package open3d."
+            " Both have the same files, and removal of one damages the other: remove both, then install one"
         ) from problem
     return package

@@ -69,7 +69,7 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
         if many <= MOST_TRIANGLES:
             raise
         raise SplatError(
-            f"{problem}, when it is reduced to {MOST_TRIANGLES} triangles: give a surface with fewer triangles"
+            f"the surface has {many} triangles and is damaged when reduced to {MOST_TRIANGLES} ({problem}): give fewer triangles"
         ) from None
     volume = enclosed_volume(x, t)
     if volume < 0.0:

@@ -1,7 +1,8 @@
 """One particle and one target in contact: time step, contact search, forces of each step, bonding.
 
-LAMMPS runs the loop over steps and calls back between its internal forces and its kick. There the target makes a step with the same
-dt (`advance_target`), and contact forces are computed from the positions of both domains at n+1 (`exchange_forces`).
+LAMMPS runs the loop over time steps. In each step it calls this module after its internal forces and before its last update of the
+velocities. In this callback, the target first makes a step with the same dt (`advance_target`). Then the contact forces are computed
+from the positions of both domains at n+1 (`exchange_forces`).
 """
 
 from dataclasses import dataclass, field

@@ -84,8 +84,8 @@ class Ledger:
         drift, error = self.rows["drift"], self.rows["momentum_error"]
         if not abs(drift) <= bound:
             raise SolverError(
-                f"the energy ledger does not close: {drift:+.2%} of the initial kinetic energy, allowed {bound:.2%}. "
-                "What was computed is in the folder but is not a result: try a finer preset"
+                f"energy is not conserved: the energy ledger has an error of {drift:+.2%} of the initial kinetic energy, "
+                f"allowed {bound:.2%}. The files in the output folder are not a result: try a finer preset"
             )
         if not error <= MOMENTUM_BOUND:
             raise SolverError(

@@ -131,9 +131,11 @@ def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarr
 
         w = L c / (1 - c),   L = 3/2 h sigma_f / k,   k = sigma_0 / sqrt(3)
 
-    L: mean length of the fragments of a film of thickness h and strength sigma_f, which the shear flow stress k of the metal loads
-    (Kelly & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). clean: c (n,); film_force:
-    h sigma_f (n,) N/m; strength: sigma_0 (n,) Pa.
+    c: area fraction of clean metal; h, sigma_f: thickness and strength of the film; k: shear flow stress of the metal. The metal
+    loads the film with this stress, and the film breaks into fragments. Their lengths are from L_c / 2 to L_c = 2 h sigma_f / k
+    (Kelly & Tyson (1965), J. Mech. Phys. Solids 13, 329). L is the mean length.
+
+    Arguments: clean: c (n,); film_force: h sigma_f (n,) N/m; strength: sigma_0 (n,) Pa.
     """
     return 1.5 * film_force * math.sqrt(3.0) / strength * clean / (1.0 - clean)
 

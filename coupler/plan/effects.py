@@ -37,13 +37,14 @@ class Situation:
 
     @cached_property
     def bodies(self) -> list[tuple[Material, float, float]]:
-        """Material, temperature (K) and heating (K) of particle and target."""
+        """For particle and target: material, temperature (K), and the rise of temperature (K) by `heating`."""
         both = (self.impact.material, self.impact.temperature), (self.base, self.scene.substrate.temperature)
         return [(m, T, heating(m, T, self.velocity)) for m, T in both]
 
     @property
     def is_exposed(self) -> bool:
-        """Whether bonds form by exposure and the engine computes gradients of plastic strain."""
+        """Whether the criterion of adhesion is "exposure" (of clean metal between cracked oxide films) and the engine computes
+        gradients of plastic strain."""
         return self.scene.derived.adhesion_law.criterion == "exposure" and self.scene.resolution.engine != "machdyn"
 
     @cached_property
@@ -151,11 +152,16 @@ EFFECTS = (
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """The effects that a scene sets, True if on; `decide` decides on all others. request is the key `effects` of the scene:
-    - "auto": all by their numbers; "none"; "all": all but GRADIENTS, which is as with "auto";
+    """The effects that a scene sets, True if on. `decide` chooses all others by the number of each effect.
+
+    request is the key `effects` of the scene:
+    - "auto": the scene sets no effect;
+    - "none": all effects are off;
+    - "all": all effects are on, but the scene does not set GRADIENTS;
     - a list of names: only these effects are on;
-    - a list that begins with "auto", "all" or "none" changes this choice: ["auto", "-friction"];
-    - a list of only signed names changes "auto"."""
+    - a list that begins with "auto", "all" or "none": this choice with changes, such as ["auto", "-friction"];
+    - a list in which all names have a sign, such as ["-friction"]: "auto" with these changes.
+    """
     if isinstance(request, str):
         items, base = [], request
     else:

@@ -76,8 +76,8 @@ def _settled(scene: Scene) -> dict[str, bool]:
 
 
 def _stays(scene: Scene, particle: Particle) -> bool:
-    """Whether a particle is expected to become a splat: always, unless the criterion is the velocity and the formula gives a
-    rebound."""
+    """Whether a particle is expected to stick as a splat. It is, unless the criterion of adhesion is "velocity" and the formula of the
+    critical velocity (`pair_formula`) predicts a rebound."""
     law, metal = scene.derived.adhesion_law, scene.derived.material(particle.material)
     if law.kind == "none" or law.criterion != "velocity":
         return True

@@ -1,4 +1,4 @@
-"""The sizes of a powder, from a scene or job, or from the file of a sizer."""
+"""The sizes of a powder, from a scene or job, or from the file of a particle-size analyser."""
 
 from pathlib import Path
 
@@ -27,16 +27,20 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
 
 
 def sizes_in(table: Table) -> Sizes:
-    """The sizes in the table of a sizer. A row has the lower diameter of a class and its volume fraction, which is also its mass
-    fraction. If the name of the column says so, or the column rises to 100, the fractions are cumulative. Diameters are in µm, or in
-    the unit of their column. Raises ValueError with the problem of the table."""
+    """The sizes in the table of a particle-size analyser.
+
+    Each row has a diameter and a volume fraction, which is also the mass fraction. The fraction is that of the size class above this
+    diameter. In a cumulative column it is the fraction of all particles below this diameter. A column is cumulative if its name says so
+    (_CUMULATIVE) or if it rises to 100. Diameters are in µm, or in the unit of their column. Raises ValueError with the problem of the
+    table.
+    """
     size, share = _column(table, _SIZE), _column(table, _CUMULATIVE) or _column(table, _SHARE)
 
     names = list(table.columns)
     size = size or names[0]
     share = share if share and share != size else next((name for name in names if name != size), "")
     if not share:
-        raise ValueError("it needs a column of sizes and a column of volume fractions")
+        raise ValueError("the file needs a column of sizes and a column of volume fractions")
     if "number" in share.lower() and "vol" not in share.lower():
         raise ValueError(f"column {share!r} has numbers of particles: export volume fractions")
     unit = table.units.get(size, "um").replace("µ", "u").replace("μ", "u")

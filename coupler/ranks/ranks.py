@@ -106,8 +106,8 @@ def leading(ranks: Ranks) -> Iterator[None]:
 def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
     """Main loop of a rank other than the root: build its part of each particle and execute the root's requests until the run ends.
 
-    build(i, place, numerics): this rank's part of the particle of impact i. Raises the error that ended the run, if any. Any other
-    error ends all ranks.
+    build(i, place, numerics): makes this rank's part of the particle of impact i, with its centre at place (3,) m. If the run fails,
+    the root sends its error, and this function raises it. An error of this rank outside of its particle, or in `build`, ends all ranks.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root stops the run and reports it
     signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""A scene at several numbers of points: each measure with its error, over the time that the run takes."""
+"""Convergence of a scene: runs with several numbers of points, and each measure with its error and the wall time of its run."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

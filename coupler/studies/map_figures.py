@@ -212,7 +212,8 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
         slices = [float(f"{value:.3g}") for value in np.quantile([row[third[0]] for row in done], (0.25, 0.5, 0.75))]
 
     def nearest(place: float | None) -> float | None:
-        """The slice in which a point is drawn; None for a point without a value of the axis."""
+        """The slice in which a point is drawn: the nearest one to `place`, the value of the point on the third axis. None if the point
+        has no such value."""
         known = [each for each in slices if each is not None]
         return None if place is None else min(known, key=lambda each: abs(each - place))
 

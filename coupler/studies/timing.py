@@ -32,7 +32,8 @@ time = "8 ns"
 
 
 def measure() -> float:
-    """Measure the factor of this machine (`pace.Pace`) in one thread. Raises SolverError if the impact has too few steps."""
+    """The factor of this machine (`pace.Pace`): a small impact is timed in one thread. The factor is kept within FACTORS. Raises
+    SolverError if the timing run has fewer than FEWEST_CHUNKS groups of steps."""
     low, high = FACTORS
     return min(max(min(_timed() for _ in range(REPEATS)), low), high)
 

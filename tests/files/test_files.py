@@ -274,7 +274,7 @@ def test_a_data_set_is_held_against_what_is_stored(finished: Path, tmp_path: Pat
     with h5py.File(tmp_path / "particle.vtkhdf", "r+", locking=False) as file:
         del file["VTKHDF/Steps/Values"]
         file["VTKHDF/Steps/Values"] = np.array([0.0, np.nan])
-    with pytest.raises(StoreError, match="a time is not a number"):
+    with pytest.raises(StoreError, match="a time that is not a finite number"):
         Result(tmp_path).times()
 
 

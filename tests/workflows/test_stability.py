@@ -155,7 +155,7 @@ def test_a_ledger_that_opens_on_the_way_is_reported(tmp_path: Path) -> None:
 
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe)
     (made,) = result.retries
-    assert "ledger does not close" in made["reason"]
+    assert "energy is not conserved" in made["reason"]
     assert abs(result.energy_drift) < 0.01
 
 
