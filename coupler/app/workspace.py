@@ -139,10 +139,12 @@ class Workspace:
             self.start(folder, "run", str(scene), "--out", str(folder))
 
     def stop(self, folder: Path) -> None:
-        """Stop a process as Ctrl-C does; it keeps what it has computed."""
+        """Stop a process as Ctrl-C does; it keeps what it has computed. One that waits has computed nothing, and is killed: it can
+        still ignore an interrupt."""
         if alive(folder):
             with suppress(ProcessLookupError, ValueError):
-                os.killpg(int(read_text(folder / PID)), signal.SIGINT)
+                kind = signal.SIGINT if last_lines(folder / LOG) else signal.SIGKILL
+                os.killpg(int(read_text(folder / PID)), kind)
 
     def call(self, *words: str) -> str:
         """Run a short command and return what it prints. Raises ColdsprayError with its message."""

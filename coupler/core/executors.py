@@ -26,9 +26,9 @@ SLURM = {"cores": "1", "time": "01:00:00"}
 RETRIES = 3  # of a computation that has not ended when its Slurm job ends
 # Program of Parsl's server of the jobs. It ends when the process that started it ends (prctl 1): otherwise the jobs of a killed sweep
 # wait for work until their time limit.
+WITH_PARENT = "import ctypes, signal; ctypes.CDLL(None).prctl(1, signal.SIGTERM)"
 _SERVER = (
-    "import ctypes, signal, runpy; ctypes.CDLL(None).prctl(1, signal.SIGTERM);"
-    " runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
+    f"{WITH_PARENT}; import runpy; runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
 )
 # glibc uses huge pages where the system has them: this saves up to a tenth of the time of a late impact of a coating
 MEMORY = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}

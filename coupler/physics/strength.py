@@ -1,8 +1,8 @@
 """Strength laws: flow stress of a metal. Each law is a function of a record of its numbers; LAWS describes the numbers.
 
-The functions are plain Python, so that a scene is checked without a compiler. `physics.constitutive` compiles the same functions into
-the kernels of both domains (`yield_stress`). Every law is zero at the melting point and above: a liquid has no strength.
-"""
+The functions are plain Python, so that a scene is checked without a compiler. `physics.constitutive` compiles the same functions (njit)
+into the kernels of both domains (`yield_stress`). Every law is zero at the melting point and above: a liquid has no strength.
+"""  # `caches.kernel_folder` finds the sources of kernels by the word njit
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

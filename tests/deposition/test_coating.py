@@ -81,7 +81,7 @@ def test_even_places_keep_apart() -> None:
         (
             "[substrate]",
             '[particle]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "500 m/s"\n[substrate]',
-            "particles of its own",
+            "the scene also has particles",
         ),
     ],
 )

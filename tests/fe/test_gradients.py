@@ -240,4 +240,4 @@ def test_what_it_needs_is_said() -> None:
     titanium = HARDENED + WHOLE.replace('"Ni"', '"Ti"')
     assert "gradient_hardening needs taylor_alpha and burgers of SS304 or Ti" in problems(titanium)
     machdyn = HARDENED + WHOLE.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n')
-    assert "take enriched or compiled" in problems(machdyn)
+    assert "use enriched or compiled" in problems(machdyn)

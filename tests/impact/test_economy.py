@@ -313,7 +313,9 @@ def test_a_window_changes_little_of_a_finer_impact(tmp_path: Path) -> None:
 
 
 def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"substrate.window = .*5 um.*: holds less .* at least 12 um is needed"):
+    with pytest.raises(
+        SceneError, match=r"substrate.window = .*5 um.*: smaller than the area .* at least 12 um is needed"
+    ):
         scene(1, 'window = "5 um"\n')
 
 

@@ -34,9 +34,10 @@ def test_a_cold_run_says_which_nodes_are_bonded(cold: Result) -> None:
 
 
 def test_the_command_prints_and_writes_the_properties(
-    cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A small block of a splat: stiffness and conductivities lie between nothing and the bulk; of two runs it gives the mean."""
+    monkeypatch.setenv("COLUMNS", "160")
     folder, other = tmp_path / "of", tmp_path / "other"
     shutil.copytree(cold.directory, other)
     assert main(["properties", str(cold.directory), str(other), "--out", str(folder), *BLOCK]) == 0

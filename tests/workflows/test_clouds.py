@@ -127,7 +127,7 @@ def test_the_surface_of_a_body_is_no_cloud(kind: str, tmp_path: Path, capsys: py
     path = tmp_path / f"a{kind}"
     meshio.Mesh(x, [("triangle", t.astype(np.int32))]).write(path)
     assert main(["mesh", str(path), "--unit", "um"]) == 2
-    assert "is a surface, and points all over the volume are needed" in capsys.readouterr().err
+    assert "is a surface, and points in the whole volume are needed" in capsys.readouterr().err
 
 
 def test_points_of_a_shell_are_refused(tmp_path: Path) -> None:
