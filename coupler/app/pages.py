@@ -79,7 +79,7 @@ async def tried(action: Callable[..., Any], *arguments: Any) -> Any:
     """The result of an action in a thread; an error that a user can mend is shown, and the result is None."""
     try:
         return await run.io_bound(action, *arguments)
-    except ColdsprayError as error:
+    except (ColdsprayError, OSError) as error:
         ui.notify(str(error), type="negative", multi_line=True, timeout=10_000, close_button=True)
         return None
 
@@ -304,12 +304,10 @@ def _cells(row: Row) -> dict[str, str]:
 def _runs(workspace: Workspace) -> None:
     """All folders of results: filter, compare, delete."""
 
-    def chosen() -> list[str]:
-        return [str(workspace.folder(row["name"])) for row in table.selected]
-
     async def compare() -> None:
         out = workspace.runs / "comparison.html"
-        if await tried(workspace.call, "compare", *chosen(), "--out", str(out)) is not None:
+        chosen = [str(workspace.folder(row["name"])) for row in table.selected]
+        if await tried(workspace.call, "compare", *chosen, "--out", str(out)) is not None:
             ui.navigate.to(f"/files/{out.name}?{out.stat().st_mtime_ns}", new_tab=True)
 
     async def delete() -> None:
@@ -320,8 +318,8 @@ def _runs(workspace: Workspace) -> None:
                 ui.button("Keep", on_click=lambda: dialog.submit(False)).props("flat")
                 ui.button("Delete", color="negative", on_click=lambda: dialog.submit(True))
         if names and await dialog:
-            for folder in chosen():
-                await tried(workspace.delete, Path(folder))
+            for name in names:
+                await tried(lambda name: workspace.delete(workspace.folder(name)), name)
             ui.navigate.reload()
 
     with frame("/runs"):

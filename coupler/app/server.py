@@ -4,11 +4,11 @@ import hmac
 import secrets
 import socket
 from collections.abc import Awaitable, Callable
-from http.cookies import SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 from nicegui import app, ui
+from starlette.requests import cookie_parser
 
 from ..errors import ColdsprayError
 from .pages import add_pages
@@ -36,14 +36,14 @@ class Guard:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         origin = headers.get(b"origin")
         is_own = origin is None or urlsplit(origin).netloc == headers.get(b"host")
-        cookies: SimpleCookie = SimpleCookie(headers.get(b"cookie", ""))
-        held = cookies[self.cookie].value if self.cookie in cookies else ""
+        # takes what browsers send: cookies of other servers of this machine need not follow the standard
+        held = cookie_parser(headers.get(b"cookie", "")).get(self.cookie, "")
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         if is_own and self._fits(held):
             await self.app(scope, receive, self._with_headers(scope, send))
         elif is_own and scope["type"] == "http" and self._fits(given):
             cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
-            to = [(b"location", ("/" + scope["path"].lstrip("/")).encode()), (b"set-cookie", cookie.encode())]
+            to = [(b"location", ("/" + quote(scope["path"].lstrip("/"))).encode()), (b"set-cookie", cookie.encode())]
             await _answer(send, 303, b"", to)
         elif scope["type"] == "http":
             await _answer(send, 403, REFUSED, [(b"content-type", b"text/plain")])

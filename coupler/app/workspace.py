@@ -108,28 +108,34 @@ class Workspace:
 
     def start(self, folder: Path, *words: str) -> None:
         """Put a command into the queue. folder: of its results, where its process is known. Raises StoreError if it has one."""
-        if alive(folder):
-            raise StoreError(f"{folder.name} is in the queue or running: stop it first")
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / LOG).open("w") as log:
-            fcntl.flock(log, fcntl.LOCK_EX)  # held by the process, and by what it starts
+        with (folder / LOG).open("a") as log:
+            try:
+                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)  # held by the process, and by what it starts
+            except BlockingIOError:
+                raise StoreError(f"{folder.name} is in the queue or running: stop it first") from None
+            log.truncate(0)
             process = subprocess.Popen(
                 [sys.executable, "-m", "coupler.app.queued", str(self.runs / ".queue"), *words], cwd=self.root,
-                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=_environment(),
             )  # fmt: skip
         write_text(folder / PID, str(process.pid))
 
     def begin(self, verb: str, name: str, text: str) -> Path:
         """Save a new scene or job, and put it into the queue. Returns the folder of its results."""
         folder = self.folder(name)
-        if folder.exists():
+        if problems := self.outside(text):
+            raise StoreError("\n".join(problems))
+        if os.path.lexists(folder):
             raise StoreError(f"runs/{name} exists: choose another name")
         self.start(folder, verb, str(self.save(name, text)), "--out", str(folder))
         return folder
 
     def go_on(self, folder: Path) -> None:
-        """Put a stopped or undecided run, or a job, into the queue again."""
-        scene = self.root / f"{folder.name}.toml"
+        """Put a stopped or undecided run, or a job, into the queue again. Raises StoreError for any other folder."""
+        if not _is_ours(folder):
+            raise StoreError(f"{folder.name} is no folder of a run or a job")
+        scene = self.root / f"{folder.relative_to(self.runs)}.toml"
         if kind_of(folder) == JOB:
             kept = scene if scene.is_file() else folder / "job.toml"
             self.start(folder, "job", str(kept), "--out", str(folder))
@@ -149,7 +155,8 @@ class Workspace:
     def call(self, *words: str) -> str:
         """Run a short command and return what it prints. Raises ColdsprayError with its message."""
         done = subprocess.run(
-            [sys.executable, "-m", "coupler", *words], cwd=self.root, stdin=subprocess.DEVNULL, capture_output=True, text=True
+            [sys.executable, "-m", "coupler", *words], cwd=self.root, env=_environment(), stdin=subprocess.DEVNULL,
+            capture_output=True, text=True,
         )  # fmt: skip
         if done.returncode:
             raise ColdsprayError(done.stderr.strip().removeprefix("coldspray: "))
@@ -157,7 +164,7 @@ class Workspace:
 
     def delete(self, folder: Path) -> None:
         """Remove a folder of results, of no other kind and without a process."""
-        if alive(folder) or folder.is_symlink() or not _is_ours(folder):
+        if alive(folder) or not _is_ours(folder):
             raise StoreError(f"{folder.name} is running, a link, or no folder of a run: it is not deleted")
         shutil.rmtree(folder)
 
@@ -199,7 +206,13 @@ class Workspace:
 
 
 def _is_ours(folder: Path) -> bool:
-    return kind_of(folder) in KINDS or (folder / LOG).is_file()
+    # a folder that cannot be entered is none, and no error, as with Path.is_file
+    return not folder.is_symlink() and (kind_of(folder) in KINDS or os.path.isfile(folder / LOG))
+
+
+def _environment() -> dict[str, str]:
+    """Variables of a process: it imports nothing from the workspace, whose files can have names of modules."""
+    return {**os.environ, "PYTHONSAFEPATH": "1"}
 
 
 def alive(folder: Path) -> bool:

@@ -72,13 +72,16 @@ class Problem:
 
     def static(self) -> NDArray | None:
         """The same under uniform tractions or fluxes on the metal of the faces, their resultant and moment taken up by the volume. None
-        where a part of the block hangs by less than three points, which bends without limit."""
+        where no part of the block joins all six faces, or one hangs by less than three points: it parts or bends without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
         part = connected_components(K, directed=False)[1]
         kept = np.flatnonzero(part == np.bincount(part).argmax())  # the rest, which does not hang on it, bears nothing
         K, loads, basis = K[kept][:, kept], (T.T @ loads)[kept], np.linalg.qr(self._rigid()[free[kept]])[0]
+        normal = loads[:, :3]  # a row has one sign on each of two opposite faces
+        if (normal.max(axis=0) <= 0.0).any() or (normal.min(axis=0) >= 0.0).any():
+            return None
         loads -= basis @ (basis.T @ loads)
         answer = np.zeros_like(loads)
         for k in range(loads.shape[1]):

@@ -40,7 +40,10 @@ def test_the_token_in_the_address_becomes_a_cookie():
     assert answer["status"] == 303
     assert headers[b"location"] == b"/evil.org"  # a path of this server, no other one
     assert b"HttpOnly" in headers[b"set-cookie"]
-    assert asked(cookie=headers[b"set-cookie"].split(b";")[0])[0]["status"] == 200
+    held = headers[b"set-cookie"].split(b";")[0]
+    assert asked(cookie=held)[0]["status"] == 200
+    assert asked(cookie=b'other={"a": [1]}; foo[bar]=1; ' + held)[0]["status"] == 200  # of other servers of the machine
+    assert dict(asked(query=b"token=secret", path="/\\a\r\n")[0]["headers"])[b"location"] == b"/%5Ca%0D%0A"
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,48 @@ def test_a_command_waits_for_its_turn_and_is_known_to_another_server(workspace: 
     assert "sphere" in (folder / LOG).read_text()  # of `coldspray shapes`
 
 
+def test_two_starts_at_once_make_one_process(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second one has found no process yet: the lock of the log alone decides."""
+    folder = workspace.folder("twice")
+    monkeypatch.setattr("coupler.app.workspace.alive", lambda folder: False)
+    with (workspace.runs / ".queue").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        workspace.start(folder, "shapes")
+        with pytest.raises(StoreError, match="in the queue or running"):
+            workspace.start(folder, "shapes")
+    ended(folder)
+    assert (folder / LOG).read_text().count("coldspray shapes") == 1
+
+
+def test_files_of_the_workspace_are_no_modules(workspace: Workspace) -> None:
+    """Python looks for modules in its working folder first, if it is not told otherwise."""
+    (workspace.root / "types.py").write_text("raise SystemExit('of the workspace')\n")
+    assert "sphere" in workspace.call("shapes")
+
+
+def test_a_folder_goes_on_with_its_own_scene_or_not_at_all(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part of a job or sweep can have the name of a scene of the workspace; other folders stay as they are."""
+    started: list[tuple[str, ...]] = []
+    monkeypatch.setattr(workspace, "start", lambda folder, *words: started.append(words))
+    workspace.save("single-1", "")
+    for name in ("single-1", "sweep/single-1"):
+        folder = workspace.folder(name)
+        folder.mkdir(parents=True)
+        with pytest.raises(StoreError, match="no folder of a run"):
+            workspace.go_on(folder)
+        (folder / LOG).touch()
+        workspace.go_on(folder)
+    assert [words[0] for words in started] == ["run", "resume"]
+
+
+def test_no_scene_that_names_a_file_outside_is_started(workspace: Workspace) -> None:
+    with pytest.raises(StoreError, match=r"particle.file = .* lies outside the workspace"):
+        workspace.begin("run", "x", '[particle]\nfile = "/powder.stl"')
+    assert not (workspace.root / "x.toml").exists()
+
+
 def test_a_command_that_waits_can_be_stopped(workspace: Workspace) -> None:
     folder = workspace.folder("waits")
     with (workspace.runs / ".queue").open("w") as lock:
@@ -85,6 +127,7 @@ def test_only_results_are_deleted(workspace: Workspace, tmp_path: Path) -> None:
         place.mkdir()
     (folder / ".coldspray").write_text(f"{MARK}: run\n")
     link.symlink_to(folder)
+    assert [row.name for row in workspace.rows()] == ["mine"]
     for place in (foreign, link):
         with pytest.raises(StoreError, match="not deleted"):
             workspace.delete(place)

@@ -185,6 +185,8 @@ def test_a_part_that_hangs_loose_has_no_static_bound() -> None:
     block = stack([5 * UM, 5 * UM], radius=-1.0)
     assert len(block.joints.nodes) == 0
     assert stiffness(block, "mixed")[2, 2] < 1e-6 * E
+    assert stiffness(block, "static") is None  # neither half joins the faces below and above
+    assert conductivity(block, "static") is None
     line = replace(block, joints=_hinge(block))
     assert stiffness(line, "static") is None
     assert 0.0 < stiffness(line, "mixed")[2, 2] < LAME
