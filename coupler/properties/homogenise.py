@@ -71,8 +71,9 @@ class Problem:
         return self._driven(list(held.reshape(6, -1)))
 
     def static(self) -> NDArray | None:
-        """The same under uniform tractions or fluxes on the metal of the faces, their resultant and moment taken up by the volume. None
-        where no part of the block joins all six faces, or one hangs by less than three points: it parts or bends without limit."""
+        """The same under uniform tractions or fluxes on the metal of the faces. Where pores leave a resultant or a moment, tractions
+        linear over the same faces balance it: they act on what the mixed conditions hold, and the bound stays below these. None where
+        no part of the block joins all six faces, or one hangs by less than three points: it parts or bends without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
@@ -82,14 +83,19 @@ class Problem:
         normal = loads[:, :3]  # a row has one sign on each of two opposite faces
         if (normal.max(axis=0) <= 0.0).any() or (normal.min(axis=0) >= 0.0).any():
             return None
-        loads -= basis @ (basis.T @ loads)
+        for load in loads.T:
+            acting = abs(load)[:, None] * basis
+            load -= acting @ np.linalg.lstsq(basis.T @ acting, basis.T @ load, rcond=1e-9)[0]
         answer = np.zeros_like(loads)
         for k in range(loads.shape[1]):
             answer[:, k], failed = _solved(K, loads[:, k])
             if failed:
                 return None
-        stress = np.linalg.inv(self.uniform(self.x)[:, free[kept]] @ loads / self.volume)
-        compliance = stress.T @ (loads.T @ answer / self.volume) @ stress
+        stress, energy = (each @ loads / self.volume for each in (self.uniform(self.x)[:, free[kept]], answer.T))
+        if self.components == 1:  # of each direction alone, as the mixed conditions
+            stress, energy = np.diag(stress.diagonal()), np.diag(energy.diagonal())
+        unit = np.linalg.inv(stress)
+        compliance = unit.T @ energy @ unit
         stiffness = np.linalg.inv(0.5 * (compliance + compliance.T))
         least, *_, most = np.linalg.eigvalsh(stiffness)
         return stiffness if least > LEAST * most else None

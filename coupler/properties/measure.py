@@ -129,16 +129,19 @@ class Sample:
 
 def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
     """Lowest and highest corner (3,) m of the block that is asked for, and the share of its columns whose metal ends below its top.
-    Raises StoreError where it reaches into the substrate."""
+    Raises StoreError where it reaches into the substrate, lies above the coating, or is narrower than a column."""
     half = disc_radius(splats) / np.sqrt(2.0) if side is None else 0.5 * side
     columns = Columns(splats, (0.0, 0.0), np.sqrt(2.0) * half, 2.0 * COLUMN * splats.element_size)
     inside = np.maximum(abs(columns.x), abs(columns.y)) <= half
+    if not inside.any():
+        raise StoreError(f"--side: {2e6 * half:.3g} um is less than an element of the coating: give a larger one")
     ground, top = columns.highest(columns.substrate)[inside], columns.highest(columns.matter)[inside]
     least = float(np.quantile(ground, GROUND))
     bottom, roof = (least, max(float(np.quantile(top, TOP)), least)) if heights is None else heights
-    if bottom < least or bottom >= roof:
+    if bottom < least or bottom >= min(roof, top.max()):
         raise StoreError(
-            f"--heights: give two heights, the lower one above the substrate, which ends at {1e6 * least:.1f} um"
+            f"--heights: give two heights, the lower one above the substrate, which ends at {1e6 * least:.1f} um, and below the top of"
+            f" the coating, at {1e6 * top.max():.1f} um"
         )
     return np.array([-half, -half, bottom]), np.array([half, half, roof]), float((top < roof).mean())
 

@@ -179,6 +179,21 @@ def test_the_bounds_enclose_and_the_tensors_are_symmetric() -> None:
             assert np.linalg.eigvalsh(larger - smaller).min() > -1e-5 * abs(most).max()
 
 
+@pytest.mark.parametrize("shape", ["step", "mushroom"])
+def test_the_bounds_enclose_where_pores_cut_the_faces(shape: str) -> None:
+    """Opposite faces with unequal metal: their tractions balance each other, so that no force inside unloads what lies between."""
+    points, tets = box((6, 6, 6), np.full(3, -5 * UM), np.full(3, 5 * UM))
+    x, y, z = points[tets].mean(axis=1).T / UM
+    kept = ~((z > 1.6) & (x > 0.0)) if shape == "step" else (z < -1.6) | (np.maximum(abs(x), abs(y)) < 1.7)
+    none = np.zeros((len(points), 2))
+    block = cut_out(points, tets[kept], np.zeros(kept.sum(), int), none, np.full(3, -5 * UM), np.full(3, 5 * UM), 1e-9)
+    most, between, least = (moduli(stiffness(block, kind)) for kind in KINDS)
+    heat = np.stack([conductivity(block, kind).diagonal() for kind in KINDS])
+    assert all(most[name] > 0.999999 * between[name] > 0.999998 * least[name] > 0.0 for name in most)
+    assert (np.diff(heat, axis=0) < 1e-6 * K_HEAT).all()
+    assert between["E_across"] < 0.95 * most["E_across"]
+
+
 def test_a_part_that_hangs_loose_has_no_static_bound() -> None:
     """A half that is bonded along a line aside of its middle turns about it under traction: without limit.
     Driven by its faces it is held."""

@@ -60,8 +60,11 @@ def test_what_has_no_cold_coating_or_no_room_is_refused(
 ) -> None:
     with pytest.raises(StoreError, match=r"holds .* splats, of 2 that it needs: take a larger one"):
         cold.properties(side=4e-6, heights=(3e-6, 6e-6))
-    with pytest.raises(StoreError, match="the lower one above the substrate"):
-        cold.properties(heights=(-30e-6, 6e-6))
+    for heights in ((-30e-6, 6e-6), (300e-6, 400e-6)):
+        with pytest.raises(StoreError, match="the lower one above the substrate"):
+            cold.properties(heights=heights)
+    with pytest.raises(StoreError, match="less than an element of the coating"):
+        cold.properties(side=1e-12)
     hot = tmp_path / "hot"
     shutil.copytree(cold.directory, hot)
     (hot / "cold.vtkhdf").unlink()
