@@ -44,8 +44,7 @@ def cool(
     target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None,
     recover: Callable[[float], None] = lambda _: None,
 ) -> dict[str, float]:  # fmt: skip
-    """Conduct heat for `time` s in a target at rest. T, sigma_y and the ledger of the target change at once, pressures in its next
-    step.
+    """Conduct heat for `time` s in a target at rest. T, sigma_y and ledger change at once, pressures in the next step of the target.
 
     fixed: nodes at the constant temperature fixed_T, K; all other faces are adiabatic, except those with the film. recover(s): called
     before and after each step with half its time. Returns the number of steps, the largest and the mean temperature before and after

@@ -57,7 +57,7 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        "  retry      a failed impact is computed again from its start with half the time step, then with a quarter",
+        "  retry      what fails is computed again from its start with half the time step, then with a quarter",
         f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {expected.target_load:.2g} of the particle",
         "",
         "  effect                    on   because",

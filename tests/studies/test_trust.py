@@ -35,7 +35,8 @@ def test_the_kinds_name_metals_of_the_library() -> None:
         (("critical velocity",), "Ni", 600.0, "", RED),  # apart by 38 m/s
         (("critical velocity",), "Ta", 600.0, "", AMBER),  # one of two of other metals met
         (("stress",), "Al1100", 350.0, "", RED),  # apart at 388 m/s, no other is near
-        (("density",), "Al1100", 800.0, "", AMBER),  # 804 met, the others near it apart
+        (("flattening",), "Al1100", 600.0, "", AMBER),  # two of four met
+        (("density",), "Al1100", 800.0, "", RED),  # all near it apart
         (("velocity at impact",), "OFHC_Cu", 660.0, "", RED),  # the one of copper is of 375 m/s, none of all is met
         (("critical velocity", "velocity at impact"), "OFHC_Cu", 600.0, "", RED),  # the worst of both
         ((), "Ni", 600.0, "", RED),
