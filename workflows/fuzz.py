@@ -83,6 +83,11 @@ def scene(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     if dice.random() < 0.3:
         substrate["temperature"] = f"{log_between(dice, 100, 1500):.4g} K"
+    rough = random.Random(f"rough {seed}")  # of its own, so that a seed keeps all else
+    if rough.random() < 0.2:
+        Sa = log_between(rough, 0.005, 0.08) * diameter
+        length = max(4.0 * Sa, 7.0 * spacing) * rough.uniform(0.9, 3.0)
+        substrate |= {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}
     if dice.random() < 0.3:
         resolution["element_size"] = f"{spacing * dice.uniform(0.8, 1.6):.4g} um"

@@ -14,7 +14,8 @@ import numpy as np
 from .. import units
 from ..physics.materials import Material, unknown
 from ..physics.shapes import sphere_volume
-from ..scene.tables import Coating, PowderTable, read_table
+from ..scene.coating import Coating, PowderTable
+from ..scene.tables import read_table
 from .powder import sizes_of
 
 _STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors

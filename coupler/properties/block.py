@@ -86,8 +86,8 @@ def cut_out(
 def clip(
     points: NDArray, tets: NDArray, body: NDArray, values: NDArray, off: NDArray, least: float
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """What of tetrahedra lies where a linear field off (n,), given at the nodes, is negative; values (n,k) are carried to new nodes;
-    less than a volume `least` is left out.
+    """The part of a mesh of tetrahedra in which a linear field off (n,), given at its nodes, is negative. Nodal values (n,k) are
+    interpolated at new nodes; tetrahedra of less volume than `least` are left out.
 
     Each edge that the plane cuts gets a node. A tetrahedron is halved at the first of its cut edges, by their numbers, until none is
     cut: neighbours halve the face that they share in the same order, so that the mesh stays conforming.

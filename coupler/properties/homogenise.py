@@ -1,9 +1,10 @@
 """Effective stiffness and conductivity of a block under uniform boundary conditions, by conjugate gradients.
 
-kinematic: u = E x on all faces, an upper bound for a block of any size; static: uniform traction, the lower bound (Hill (1963), J.
-Mech. Phys. Solids 11, 357; Huet (1990), ibid. 38, 813). mixed: some components of E x, in shear those of Pahr & Zysset (2008), Biomech.
-Model. Mechanobiol. 7, 463; it lies between both (Hazanov & Huet (1994), J. Mech. Phys. Solids 42, 1995). Of conduction: temperature
-on all faces; uniform flux; temperature on two opposite faces, the others insulated.
+kinematic: the displacement E x on all faces gives an upper bound. static: a uniform traction gives the lower bound (Hill (1963),
+J. Mech. Phys. Solids 11, 357; Huet (1990), ibid. 38, 813). mixed: the faces have some components of E x and no traction in the others
+(for shear as in Pahr & Zysset (2008), Biomech. Model. Mechanobiol. 7, 463); the result lies between the bounds (Hazanov & Huet (1994),
+J. Mech. Phys. Solids 42, 1995). Conduction has the same three: a linear temperature on all faces; a uniform flux; a temperature on two
+opposite faces while the others are insulated.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Problem:
         return self._driven([held] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
-        """The same where the faces follow them in some components only; blocks that do not share them are left zero."""
+        """The same for mixed conditions. An entry of two loads with different conditions is zero."""
         if self.components == 1:
             return self._driven(list(self.on))
         held = np.zeros((6, 3, len(self.x)), bool)
@@ -120,8 +121,8 @@ class Problem:
         return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
 
     def _leads(self, held: NDArray) -> tuple[csr_array, NDArray]:
-        """Matrix (components n, f) from the free values to all, and which these are (f,): bonds lead what is not held. What leads may
-        itself be led, by an earlier body."""
+        """Matrix (components n, f) from the free values to all values, and indices (f,) of the free values. A bonded value that is not
+        held follows from the facet opposite, whose own nodes can follow from an earlier body."""
         first = len(self.x) * np.arange(self.components)[:, None]
         nodes = (first + self.bonds.nodes).ravel()
         leaders = (first[..., None] + self.bonds.triangles).reshape(-1, 3)

@@ -4,7 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .tables import GasConditions, PowderSizes, Quantity, Section, Temperature, Track
+from .coating import PowderSizes
+from .tables import GasConditions, Quantity, Section, Temperature, Track
 
 
 class Powder(Section):

@@ -11,6 +11,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from . import tables
+from .coating import Coating
 from .effects import check_request
 
 MOST_IMPACTS = 500
@@ -25,7 +26,7 @@ class SceneData(tables.Section):
     strength: str | None = Field(None, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")
     library: str | None = None
     particles: list[tables.Particle] = Field(alias="particle")
-    coating: tables.Coating | None = None
+    coating: Coating | None = None
     gas: tables.GasConditions | None = None
     spray: tables.Spray | None = None
     substrate: tables.Substrate

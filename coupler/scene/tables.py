@@ -1,13 +1,11 @@
 """The tables of a scene: their fields, units and limits. `coupler.scene.model` puts them together."""
 
 import math
-import re
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -18,7 +16,6 @@ from pydantic import (
     StrictInt,
     ValidationError,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
     model_validator,
 )
@@ -94,10 +91,10 @@ class BySize:
 
 
 DIAMETER = Quantity("um", "1 um", "200 um")
-_Dwell = Quantity("us", "0 s", "10 s", auto=True)
-_Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
+DWELL = Quantity("us", "0 s", "10 s", auto=True)
+VELOCITY = Quantity("m/s", "10 m/s", "2000 m/s")
 _GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
-_Kelvin = Quantity("K", "100 K", "5000 K")
+KELVIN = Quantity("K", "100 K", "5000 K")
 
 
 class Section(BaseModel):
@@ -118,7 +115,7 @@ def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails
 
 
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
-Temperature = Annotated[float, _Kelvin]
+Temperature = Annotated[float, KELVIN]
 Face = Literal["absorbing", "free", "fixed", "half_space"]
 Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # the shapes of coupler.physics.shapes
 
@@ -135,13 +132,13 @@ class Particle(Section):
     shape: Literal[Shape, "file"] = "sphere"
     file: str | None = None
     diameter: Annotated[float, DIAMETER]
-    velocity: Annotated[float, _Velocity]
+    velocity: Annotated[float, VELOCITY]
     angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
     tilt: Annotated[float, Quantity("deg", "-90 deg", "90 deg")] = 0.0
     temperature: Temperature = 300.0
     offset: tuple[Offset, Offset] = (0.0, 0.0)
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um")] = None
-    dwell: Annotated[float | None, _Dwell] = None
+    dwell: Annotated[float | None, DWELL] = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
     _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
@@ -173,157 +170,6 @@ class Particle(Section):
     def height(self) -> float:
         """Extent of the particle normal to the target, m, at least the diameter of the sphere of equal volume."""
         return max(self.diameter, self.form.height(self.tilt))
-
-
-def _read_sizes(value: object) -> tuple[float, ...] | str | None:
-    """Sizes of a powder from a value in one of SIZE_FORMS: diameters in m, or the name of a file."""
-    if value is None:
-        return None
-    if isinstance(value, str) and (sieves := _SIEVES.fullmatch(value)):
-        low, high, unit = sieves.group(1, 2, 3) if sieves[1] else sieves.group(5, 4, 6)
-        value = [f"{low} {unit}", f"{high} {unit}"]
-    if isinstance(value, str) and value.lower().endswith((".csv", ".txt", ".tsv")):
-        return value
-    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
-        raise ValueError(f"needs {SIZE_FORMS}")
-    try:
-        diameters = tuple(map(DIAMETER.read, value))
-    except units.UnitError as error:
-        raise ValueError(f"has a diameter that {error}") from None
-    if len(value) == 2 and not diameters[0] < diameters[1]:
-        raise ValueError("needs the smaller sieve first")
-    if sorted(diameters) != list(diameters):
-        raise ValueError("needs D10, D50, D90 in ascending order")
-    return diameters
-
-
-_SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
-SIZE_FORMS = (
-    '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file of a sizer'
-)
-#: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the name of a sizer's file.
-PowderSizes = Annotated[
-    tuple[float, ...] | str,
-    BeforeValidator(_read_sizes),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string"},
-                {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3},
-            ],
-            "description": SIZE_FORMS,
-        }
-    ),
-]
-
-
-class PowderTable(Section):
-    """A powder of a coating. SI units.
-
-    diameter: median of a log-normal distribution by number; spread: its geometric standard deviation; or sizes instead of both.
-    smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
-    (m/s): standard deviation, limited to two deviations. shapes: fraction by number of each shape; shapes other than spheres have a
-    random tilt. files: pattern of names of files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa):
-    as in `Particle`.
-    """
-
-    material: str
-    diameter: Annotated[float | None, DIAMETER] = None
-    spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
-    sizes: PowderSizes | None = None
-    smallest: Annotated[float | None, DIAMETER] = None
-    largest: Annotated[float | None, DIAMETER] = None
-    velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Velocity)] = None
-    velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
-    temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
-    shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
-    files: str | None = None
-    hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
-    yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
-
-    @field_validator("shapes")
-    @classmethod
-    def _shares(cls, value: dict[str, float]) -> dict[str, float]:
-        known = morphology.SHAPES
-        if unknown := [name for name in value if name not in known]:
-            raise ValueError(f"{unknown[0]!r:.20} is not one of {', '.join(known)}{units.nearest(unknown[0], known)}")
-        shares = list(value.values())
-        if not all(math.isfinite(share) and share >= 0.0 for share in shares) or not sum(shares) > 0.0:
-            raise ValueError(
-                "needs shares of zero or more, not all of them zero, such as { sphere = 0.8, oblate = 0.2 }"
-            )
-        return value
-
-    @model_validator(mode="after")
-    def _has_one_size(self) -> Self:
-        if isinstance(self, Coating) and self.powder:  # each powder has its own
-            return self
-        if (self.diameter is None) == (self.sizes is None):
-            raise ValueError('needs diameter = "22 um" or sizes = "15-45 um", one of them')
-        low, high = self.smallest or 0.0, self.largest or math.inf
-        if not low <= (self.diameter or low) <= high:
-            raise ValueError("needs smallest <= diameter <= largest")
-        return self
-
-
-class Share(PowderTable):
-    """One of several powders. share: fraction of the mass of the feed, 0 to 1."""
-
-    share: StrictFloat = Field(gt=0.0, lt=1.0)
-
-
-class Coating(PowderTable):
-    """Random particles from a seed, instead of [[particle]] tables (`coupler.plan.coating`). SI units.
-
-    number: of particles, the same in each of `layers`; radius (m): of the disc about the axis for their centres; positions: "random",
-    or "even" (far from the other positions of the layer). powder: tables [[coating.powder]] of a blend; their default values are those
-    of [coating].
-    """
-
-    number: StrictInt = Field(ge=1, le=500)
-    layers: StrictInt = Field(1, ge=1, le=100)
-    radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
-    positions: Literal["random", "even"] = "random"
-    dwell: Annotated[float | None, _Dwell] = None
-    seed: StrictInt = Field(1, ge=0, le=2**31)
-    powder: tuple[Share, ...] | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _completes_its_powders(cls, data: object) -> object:
-        if not isinstance(data, dict) or not isinstance(tables := data.get("powder"), list | tuple):
-            return data
-        common = {key: value for key, value in data.items() if key in PowderTable.model_fields}
-        powders = [_completed(table, common) for table in tables]
-        first = powders[0] if powders and isinstance(powders[0], dict) else {}
-        return {key: first[key] for key in ("material",) if key in first} | data | {"powder": powders}
-
-    @model_validator(mode="after")
-    def _adds_up(self) -> Self:
-        if self.powder is not None and len(self.powder) < 2:
-            raise ValueError(
-                "needs two tables [[coating.powder]] or more, or none: one powder has its keys in [coating]"
-            )
-        if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
-            raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
-        if self.number % self.layers:
-            raise ValueError(
-                f"needs layers that divide number = {self.number}: all layers have the same number of particles"
-            )
-        return self
-
-    @property
-    def powders(self) -> tuple[PowderTable, ...]:
-        """The powders of a blend, or the only one."""
-        return self.powder or (self,)
-
-
-def _completed(table: object, common: dict[str, object]) -> object:
-    """A table [[coating.powder]] with its missing keys from [coating]. diameter and sizes replace each other."""
-    if not isinstance(table, dict):
-        return table
-    sized = {"diameter", "spread", "sizes"} if {"diameter", "sizes"} & table.keys() else set()
-    return {key: value for key, value in common.items() if key not in sized} | table
 
 
 class GasConditions(Section):

@@ -93,20 +93,15 @@ def test_a_blend_that_is_written_out_is_the_same_scene(tmp_path: Path) -> None:
         ('"Al1100"', '"Unobtainium"', 'coating.powder[2].material = "Unobtainium": unknown material'),
         ('sizes = "15-25 um"', "", "coating.powder[1] needs diameter"),
         ('sizes = "15-25 um"', 'sizes = "15-25 um"\ncolour = "red"', "coating.powder[1].colour: unknown key"),
-        ("share = 0.7", "share = 0.0001", "add up to 1"),
-        ("number = 60", "number = 3", ""),
         ('velocity = "600 m/s"', "", "coating.powder[1].velocity: missing"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_blend_is_named_by_its_key(before: str, after: str, says: str) -> None:
     text = BLEND.replace(before, after, 1)
-    if not says:
-        assert len(Scene.from_text(text).particles) == 3
-        return
     with pytest.raises(SceneError) as error:
         Scene.from_text(text, "blend.toml")
-    assert any(problem.startswith(says) or says in problem for problem in error.value.problems), error.value.problems
     assert len(error.value.problems) == 1
+    assert says in error.value.problems[0]
 
 
 def test_a_powder_too_rare_for_the_number_of_particles_is_refused() -> None:

@@ -1,0 +1,107 @@
+"""Upright columns through a coating: heights, roughness and voids."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..geometry.raycast import RaySurface
+from ..geometry.tetrahedra import boundary_faces
+from ..geometry.triangles import area_vectors
+
+if TYPE_CHECKING:
+    from .coating import Splats
+
+
+class Columns:
+    """Vertical columns of cells over a disc: radius m, `step` m apart; cells are `step` m high and begin at z = low.
+
+    A cell is inside a body if its middle is; this follows from the points at which the column crosses the closed surfaces of the
+    bodies. Masks (k, layers): splat, substrate: cells inside a splat or the substrate; matter: inside one of them; double: inside a
+    splat and another body. x, y (k,): positions of the columns, m.
+    """
+
+    def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
+        self.step = step
+        n = max(int(np.ceil(radius / step)), 4)
+        axis = (np.arange(-n, n) + 0.5) * step
+        self.inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= radius
+        self._origin, self._side = (centre[0] - n * step, centre[1] - n * step), 2 * n
+        faces, behind = boundary_faces(splats.mesh.cells)  # bodies share no nodes
+        body = splats.body[behind]
+        of_each = np.split(faces[np.argsort(body, kind="stable")], np.cumsum(np.bincount(body))[:-1])
+        skins = [(splats.mesh.points, own, b > 0) for b, own in enumerate(of_each)]
+        if splats.last is not None:
+            skins.append((*splats.last, True))
+        points, faces, _ = skins[0]
+        corners, upward = points[faces], area_vectors(points, faces)[:, 2] > 0.0
+        near = np.hypot(corners[..., 0] - centre[0], corners[..., 1] - centre[1]).min(axis=1) <= radius
+        deepest = [float(corners[upward & near, :, 2].min(initial=0.0))]
+        deepest += [float(points[faces, 2].min()) for points, faces, splat in skins if splat]
+        self.low = min(deepest) - 8.0 * step
+        self.layers = int(np.ceil((max(float(x[f, 2].max()) for x, f, _ in skins) - self.low) / step)) + 2
+        count = np.zeros((2, self._side, self._side, self.layers + 1), np.int16)
+        for points, faces, splat in skins:
+            self._cross(points, faces, count[int(splat)])
+        layered = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16)
+        solid = layered > 0
+        self.double = ((layered.sum(axis=0) > 1) & solid[1])[self.inside]  # where a crater folds no splat overlaps
+        self.splat = solid[1][self.inside]
+        self.substrate = solid[0][self.inside]
+        self.matter = self.splat | self.substrate
+        grid = np.stack(np.meshgrid(axis + centre[0], axis + centre[1], indexing="ij"), axis=-1)
+        self.x, self.y = grid[self.inside].T
+
+    def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
+        """Add to `count` +1 where a column enters and -1 where it leaves a closed surface with outward triangles."""
+        h, aside = self.step, (0.5011, 0.5007)  # so that no column meets an edge, which two triangles share
+        corners = points[faces][..., :2]
+        low, high = (extreme(axis=(0, 1)) for extreme in (corners.min, corners.max))
+        # columns that may pass through the body, and one more on each side
+        first, stop = ((ends - self._origin) / h - aside for ends in (low, high))
+        first, stop = (np.clip(ends, 0, self._side).astype(int) for ends in (np.floor(first), np.ceil(stop) + 1))
+        if (first >= stop).any():
+            return
+        i, j = (axis.ravel() for axis in np.mgrid[first[0] : stop[0], first[1] : stop[1]])
+        x, y = ((axis + part) * h + start for axis, part, start in zip((i, j), aside, self._origin, strict=True))
+        column, z, face = RaySurface(points, faces, closed=False).on_verticals(x, y)
+        k = np.ceil((z - self.low) / h - 0.5).astype(int).clip(0, self.layers)
+        downward = area_vectors(points, faces)[face, 2] < 0.0  # the column enters here
+        np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
+
+    def highest(self, cells: NDArray) -> NDArray:
+        """Height (k,) m of the top of the highest marked cell in each column, `low` without one. cells (k, layers): mask. For `matter`
+        this is the surface, for `substrate` the interface."""
+        last = self.layers - np.argmax(cells[:, ::-1], axis=1)
+        return np.where(cells.any(axis=1), self.low + last * self.step, self.low)
+
+    def voids(self, thinnest: float) -> tuple[NDArray, NDArray]:
+        """Masks (k, layers) of empty cells below the top of their column: (open, closed). Closed: not connected to the outside through
+        empty cells. Voids with a height below `thinnest` m count as matter."""
+        span = max(round(thinnest / self.step), 0)
+        whole = np.zeros((self._side, self._side, self.layers), bool)
+        whole[self.inside] = self.matter
+        if span > 0:
+            pad = ((0, 0), (0, 0), (span + 1, span + 1))
+            closed = ndimage.binary_closing(np.pad(whole, pad, mode="edge"), np.ones((1, 1, span + 1), bool))
+            whole |= closed[..., span + 1 : -span - 1]
+        below = np.cumsum(whole[..., ::-1], axis=-1)[..., ::-1] > 0
+        below &= self.inside[..., None]
+        empty = ~whole
+        # outside: above the tops. The rim of the disc does not count, or half of the voids at the rim would be open.
+        label, _ = ndimage.label(empty & self.inside[..., None])
+        outer = np.unique(label[empty & ~below & self.inside[..., None]])
+        outside = np.isin(label, outer[outer > 0])
+        void = empty & below
+        return (void & outside)[self.inside], (void & ~outside)[self.inside]
+
+
+def roughness(z: NDArray) -> tuple[float, float]:
+    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean
+    height. The reference plane is parallel to the substrate; a plane fitted to a disc of a few splats would remove their largest
+    steps."""
+    away = z - z.mean()
+    return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))
