@@ -18,6 +18,7 @@ from coupler.geometry.tetrahedra import volumes
 from coupler.physics.materials import material
 from coupler.report.picture import blank, save
 from coupler.studies import coating
+from coupler.studies.splats import Splats
 from coupler.studies.table import Row
 
 MEASURED = measurements("deposition_stress")
@@ -63,7 +64,7 @@ def row_of(*key: str) -> dict[str, object]:
     return {"impact_m_s": particle.velocity, "impact_K": particle.temperature, **measures, "drift": drift, "cpu_s": cpu}
 
 
-def values_of(splats: coating.Splats) -> dict[str, float]:
+def values_of(splats: Splats) -> dict[str, float]:
     """The measures of a cold coating; its last layer is that of the last impacts."""
     inner, all_ = buried(splats), coating.measure(splats)
     layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
@@ -77,13 +78,13 @@ def values_of(splats: coating.Splats) -> dict[str, float]:
     }  # fmt: skip
 
 
-def buried(splats: coating.Splats) -> coating.Splats:
+def buried(splats: Splats) -> Splats:
     """The coating without the splats of its last layer, which nothing has struck."""
     last = splats.planned - splats.planned // splats.layers
     return replace(splats, body=np.where(splats.impact[splats.body] > last, 0, splats.body))
 
 
-def flattening_strains(splats: coating.Splats, radius: float) -> NDArray[np.float64]:
+def flattening_strains(splats: Splats, radius: float) -> NDArray[np.float64]:
     """2/3 ln(width / height) (k,) of the splats whose middle lies within radius (m), as ellipsoids of the same second moments."""
     corners, found = splats.mesh.points[splats.mesh.cells], []
     volume = np.abs(volumes(splats.mesh.points, splats.mesh.cells))[:, None]

@@ -14,9 +14,9 @@ from ..files.result import Result
 from ..geometry.tetrahedra import volumes
 from ..physics.materials import Material
 from ..plan.record import read_plan
-from ..studies.coating import COLUMN, SeedError, Splats, disc_radius, read
+from ..studies.coating import COLUMN, SeedError, disc_radius, read
 from ..studies.coating_seeds import seed_error
-from ..studies.columns import Columns
+from ..studies.splats import Columns, Splats
 from .block import Block, cut_out
 from .homogenise import Problem, conducting, elastic
 

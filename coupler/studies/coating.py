@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import units
 from ..errors import StoreError
-from ..files.fields import Fields
 from ..files.inputs import parse_toml
 from ..files.result import COLD, Result, first_step
 from ..geometry.tetrahedra import volumes
@@ -18,7 +17,7 @@ from ..measures import UNDECIDED
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 from ..report.words import with_error
-from .columns import Columns, roughness
+from .splats import Columns, Splats, roughness
 
 DISC = 0.6  # radius of the measured disc over the radius of the patch on which centres of particles fall
 FINEST = (
@@ -28,44 +27,6 @@ SECTORS = 8  # of the disc, for the standard error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 NO_SEEDS = "not measured: coldspray coating DIR --seeds 3 computes three other seeds"
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
-
-
-@dataclass(frozen=True)
-class Splats:
-    """A coating at a stored step, or cold after the closing stage (is_cold).
-
-    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact
-    from which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as
-    (points (k,3) m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the
-    coating; mass (n,) kg; metal (n,): name; planned: impacts of the run, in `layers` layers; patch: radius of the disc on which
-    centres of particles fall, m; element_size: of the splats, m; undecided: indices of impacts without a verdict, which count as
-    stayed.
-    """
-
-    mesh: Fields
-    body: NDArray[np.int64]
-    impact: NDArray[np.int64]
-    last: tuple[NDArray, NDArray] | None
-    stayed: NDArray
-    mass: NDArray
-    metal: NDArray
-    planned: int
-    layers: int
-    patch: float
-    element_size: float
-    is_cold: bool = False
-    undecided: tuple[int, ...] = ()
-
-    @property
-    def deposition_efficiency(self) -> float:
-        """Mass in the coating over the mass of all particles of finished impacts; undecided particles count as stayed."""
-        return float(self.mass @ self.stayed / self.mass.sum())
-
-    @property
-    def least_efficiency(self) -> float:
-        """Deposition efficiency if all undecided particles count as lost."""
-        lost = sum(self.mass[i] * self.stayed[i] for i in self.undecided)
-        return self.deposition_efficiency - lost / float(self.mass.sum())
 
 
 def read(result: Result, before: int | None = None) -> Splats:

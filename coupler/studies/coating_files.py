@@ -21,8 +21,9 @@ from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
-from .coating import CoatingMeasures, Splats
+from .coating import CoatingMeasures
 from .coating_growth import Row, draw
+from .splats import Splats
 from .table import write_rows
 
 NAMES = (

@@ -9,7 +9,8 @@ import numpy as np
 from ..errors import StoreError
 from ..files.result import Result
 from ..report.picture import MICRO, blank, save
-from .coating import COLUMN, Splats, disc_radius, read, shape
+from .coating import COLUMN, disc_radius, read, shape
+from .splats import Splats
 
 COARSE = 2.0  # distance of the columns over their distance for the final measures
 MOST = 60  # rows of the table

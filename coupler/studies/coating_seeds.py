@@ -13,7 +13,8 @@ from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import COLD, Result
 from ..plan.reading import Scene
-from .coating import CoatingMeasures, SeedError, Splats, lines, measure, read
+from .coating import CoatingMeasures, SeedError, lines, measure, read
+from .splats import Splats
 
 FOLDER = "seeds"  # folder of these runs, in the folder of the run
 MEASURES = (

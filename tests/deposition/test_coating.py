@@ -21,7 +21,6 @@ from coupler.geometry.tetrahedra import volumes
 from coupler.report.picture import _most_cut
 from coupler.studies import coating_growth, coating_seeds
 from coupler.studies.coating import (
-    Splats,
     in_plane,
     lines,
     measure,
@@ -32,7 +31,7 @@ from coupler.studies.coating import (
 )
 from coupler.studies.coating_files import _seen, micrograph
 from coupler.studies.coating_growth import growth
-from coupler.studies.columns import Columns, roughness
+from coupler.studies.splats import Columns, Splats, roughness
 
 
 def test_particles_come_from_the_seed_and_keep_to_the_table() -> None:

@@ -1,19 +1,55 @@
-"""Upright columns through a coating: heights, roughness and voids."""
+"""The bodies of a coating, and upright columns through them: heights, roughness and voids."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..files.fields import Fields
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import area_vectors
 
-if TYPE_CHECKING:
-    from .coating import Splats
+
+@dataclass(frozen=True)
+class Splats:
+    """A coating at a stored step, or cold after the closing stage (is_cold).
+
+    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact
+    from which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as
+    (points (k,3) m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the
+    coating; mass (n,) kg; metal (n,): name; planned: impacts of the run, in `layers` layers; patch: radius of the disc on which
+    centres of particles fall, m; element_size: of the splats, m; undecided: indices of impacts without a verdict, which count as
+    stayed.
+    """
+
+    mesh: Fields
+    body: NDArray[np.int64]
+    impact: NDArray[np.int64]
+    last: tuple[NDArray, NDArray] | None
+    stayed: NDArray
+    mass: NDArray
+    metal: NDArray
+    planned: int
+    layers: int
+    patch: float
+    element_size: float
+    is_cold: bool = False
+    undecided: tuple[int, ...] = ()
+
+    @property
+    def deposition_efficiency(self) -> float:
+        """Mass in the coating over the mass of all particles of finished impacts; undecided particles count as stayed."""
+        return float(self.mass @ self.stayed / self.mass.sum())
+
+    @property
+    def least_efficiency(self) -> float:
+        """Deposition efficiency if all undecided particles count as lost."""
+        lost = sum(self.mass[i] * self.stayed[i] for i in self.undecided)
+        return self.deposition_efficiency - lost / float(self.mass.sum())
 
 
 class Columns:
