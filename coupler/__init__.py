@@ -1,4 +1,4 @@
-"""coldspray: metal particles (LAMMPS SPH) that meet a target (explicit finite elements), as in cold spray.
+"""coldspray simulates cold spray: metal particles (SPH in LAMMPS) hit a target of explicit finite elements.
 
 from coupler import Scene, run
 result = run(Scene.load("workflows/single_ni.toml"))

@@ -1,4 +1,4 @@
-"""`python -m coupler ...` is `coldspray ...`; what mpiexec starts."""
+"""Lets `python -m coupler ...` do the same as the command `coldspray ...`; mpiexec starts this module."""
 
 from .commands.main import main
 

@@ -1,4 +1,5 @@
-"""The command line as a page in a browser of this machine: forms, runs while they are computed, results.
+"""The local web page of coldspray: forms for the input, the state of runs while they are computed, and their results.
 
-A run is a process of `coldspray` itself, which outlives the server; all that a page knows of it is in its folder.
+Each run is a separate process of the command `coldspray`, which continues when the server ends. The page reads all data about a run
+from the folder of the run.
 """

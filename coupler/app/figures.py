@@ -1,4 +1,4 @@
-"""Curves of the page, for plotly: the window of a powder, its flight, flow stresses, the energies of a run."""
+"""Curves for the local web page, drawn by plotly: deposition window and flight of a powder, flow stresses, energies of a run."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,7 +19,8 @@ GREY, GRID = "#808a94", "rgba(128,138,148,0.25)"
 
 
 def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layout: Any) -> Figure:
-    """A figure that is read on light and on dark ground. x, y: of the axes; name: of the png that the reader may save."""
+    """A plotly figure that is readable on a light and on a dark background. x, y: titles of the axes; name: file name of the PNG that
+    the reader can save."""
     line = {"gridcolor": GRID, "zerolinecolor": GRID, "linecolor": GREY, "automargin": True}
     axes = {axis: {"title": {"text": text, "standoff": 8}, **line} for axis, text in (("xaxis", x), ("yaxis", y))}
     clear = dict.fromkeys(("paper_bgcolor", "plot_bgcolor"), "rgba(0,0,0,0)")
@@ -32,7 +33,8 @@ def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layo
 
 
 def window(job: Job) -> Figure:
-    """Velocity over temperature at impact: the powder's classes, and the velocities of the pair's formula for the particle of D50."""
+    """Velocity against temperature at impact for the size classes of the powder, with the critical velocities by the formula for a
+    particle of diameter D50."""
     spray, D50, lines = job.arrived, job.sizes.diameter(0.5), []
     coldest, hottest = float(spray.temperature.min()), float(spray.temperature.max())
     T = np.linspace(min(280.0, coldest), min(hottest + 200.0, 0.9 * job.metal.T_m), 40)
@@ -63,7 +65,8 @@ def window(job: Job) -> Figure:
 
 
 def flights(job: Job) -> Figure:
-    """Velocity of gas and particles of D10, D50, D90 along the axis, and their temperatures below."""
+    """Velocity of the gas and of particles of diameters D10, D50 and D90 along the axis of the nozzle; their temperatures in a second
+    panel below."""
     gas, D = job.data.gas, [job.sizes.diameter(share) for share in (0.1, 0.5, 0.9)]
     flown = fly_together(job.flow, job.metal, D, gas.powder_temperature, DRAG_LAWS[gas.drag])
     curves = [("gas", flown[0].u, flown[0].T_gas, GREY)]
@@ -81,7 +84,7 @@ def flights(job: Job) -> Figure:
 
 
 def energies(result: Result) -> Figure | None:
-    """The ledger of a run so far; None before its first rows."""
+    """The energy balance of a run up to the last stored time; None before its first row is written."""
     drawn = charts.energy(result.history()) if (result.directory / HISTORY).is_file() else None
     traces: Any = drawn["traces"] if drawn else ()
     legend = {"orientation": "h", "y": -0.2, "yanchor": "top", "font": {"size": 10}, "traceorder": "reversed"}
@@ -89,7 +92,7 @@ def energies(result: Result) -> Figure | None:
 
 
 def flow_stresses(metals: Sequence[Material], rate: float, T: float) -> Figure:
-    """Flow stress (MPa) of metals, each with its strength set, over the plastic strain, at a rate (1/s) and a temperature (K)."""
+    """Flow stress (MPa) against plastic strain for each strength set of the metals, at a strain rate (1/s) and a temperature (K)."""
     strain, lines = np.linspace(0.0, 1.0, 60), []
     for k, metal in enumerate(metals):
         stress = np.array([metal.flow_stress(e, rate, T) for e in strain]) / 1e6

@@ -1,4 +1,4 @@
-"""A form of the keys of a scene or a job: made from the schema, read by the reader of the command line."""
+"""A form for the keys of a scene or a job. The fields are made from the JSON schema; the program's own reader checks the values."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +18,8 @@ _KEY = re.compile(r"[A-Za-z_]+(?:\.[A-Za-z_]+)*")
 
 
 def entries_of(schema: Mapping[str, Any]) -> Entries:
-    """Dotted key -> its entry in the schema of a scene or a job; keys of own metals and nozzles are left out."""
+    """Return the entry of each key (with dots) in the schema of a scene or a job, without the keys of the user's own metals and
+    nozzles."""
     found: dict[str, Mapping[str, Any]] = {}
     for name, entry in schema["properties"].items():
         table = schema["definitions"].get(str(entry.get("$ref", "")).rpartition("/")[2], entry)
@@ -30,7 +31,7 @@ def entries_of(schema: Mapping[str, Any]) -> Entries:
 
 
 def placed(problems: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
-    """Problems of a reader by the key that each begins with; those of no key under ""."""
+    """Sort the problems of a reader by the key with which each begins. Problems without a key are under ""."""
     known, found = set(keys), dict[str, str]()
     for problem in problems:
         match = _KEY.match(problem)
@@ -40,8 +41,8 @@ def placed(problems: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
 
 
 class Form:
-    """Fields for the keys of a text of TOML, of one page of one reader. main: keys that are always seen, the others are folded, a group
-    for each table; on_change: called after each change."""
+    """Fields for the keys of a TOML text. main: keys whose fields are always visible; the other fields are in a closed group for each
+    table. on_change: function that is called after each change."""
 
     def __init__(self, text: str, entries: Entries, main: Sequence[str], on_change: Callable[[], Any]):
         self.text, self.entries, self.on_change = text, entries, on_change
@@ -55,7 +56,8 @@ class Form:
                 self._grid(keys)
 
     def toml(self) -> str:
-        """The text with what the fields have; an empty field removes its key, and a table without keys goes. Raises ValueError."""
+        """Return the text with the values of the fields. An empty field removes its key, and a table without keys is removed. Raises
+        ValueError."""
         now = {key: str(field.value or "").strip() for key, field in self.fields.items()}
         settings = [(k, now[k] or None) for k in now if now[k] != self.first.get(k, "")]
         gone = {k.partition(".")[0] for k, value in settings if value is None and "." in k}
@@ -63,7 +65,7 @@ class Form:
         return changed(self.text, settings)
 
     def show(self, problems: Iterable[str]) -> str:
-        """Put each problem at its field. Returns those that have none."""
+        """Show each problem at its field. Returns the problems that belong to no field."""
         found = placed(problems, self.fields)
         for key, field in self.fields.items():
             field.error = found.get(key)
@@ -76,7 +78,8 @@ class Form:
                     self.fields[key] = self._field(key)
 
     def _field(self, key: str) -> Any:
-        """The field of a key: a choice, or a text with its help below while it is edited; some also with a slider."""
+        """Make the field of a key: a choice list or a text field, with help text below it while it is edited. Some fields also have a
+        slider."""
         entry, value, leaf = self.entries[key], self.first.get(key, ""), key.rpartition(".")[2]
         usual = entry.get("default")
         usual = {True: "true", False: "false"}.get(usual, usual) if isinstance(usual, bool) else usual

@@ -1,4 +1,4 @@
-"""What the page says of a scene or a job while it is typed, and of a run while it is computed: from the readers of the command line."""
+"""Texts and figures that the local web page shows about a scene or a job during typing, and about a run during its computation."""
 
 import threading
 from collections.abc import Iterable, Mapping
@@ -27,8 +27,9 @@ _DRAWING = threading.Lock()  # matplotlib draws in one thread at a time
 
 @dataclass(frozen=True)
 class Look:
-    """problems: of the input, none else; lines: time and error to expect; more: what would be computed; numbers, drawn: of the gas;
-    classes: columns of the powder's classes at impact."""
+    """Preview of a scene or a job. problems: problems of the input; if there are any, all other values are empty. lines: expected
+    time and error; more: description of the computation; numbers, drawn: results and figures of the gas; classes: columns of the
+    table of the powder's size classes at impact."""
 
     problems: Iterable[str] = ()
     lines: str = ""
@@ -40,7 +41,8 @@ class Look:
 
 @dataclass(frozen=True)
 class Now:
-    """A run as its files have it. text: its results, or the last lines of its log; pictures: their addresses."""
+    """Present state of a run, from its files. text: its results, or the last lines of its log; pictures: web addresses of its
+    pictures."""
 
     row: Row
     text: str
@@ -49,8 +51,8 @@ class Now:
 
 
 def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
-    """A scene or a job, from its text. path: what it would be saved as; verb: "run" of a scene, "job", or "" for a job without a
-    forecast. Problems of the input are in the answer."""
+    """The preview of a scene or a job. text: its TOML text; path: file in which it would be saved; verb: "run" for a scene, "job" for
+    a job, "" for a job without an estimate of the time. Problems of the input are part of the result."""
     try:
         if verb == "run":
             planned = plan(Scene.from_text(text, str(path)))
@@ -84,7 +86,7 @@ def _gas(job: Job) -> Look:
 
 
 def now(workspace: Workspace, folder: Path) -> Now:
-    """A run or a job, finished or not. One that is damaged has the message as its text."""
+    """The present state of a run or a job, finished or not. For a damaged run, the text is the error message."""
     row, log = workspace.row(folder), last_lines(folder / "run.log", 6) or last_lines(folder / LOG, 6)
     text, energy, done = log or row.words, None, row.state in (FINISHED, UNDECIDED)
     if row.kind != JOB and (folder / HISTORY).is_file():
@@ -104,7 +106,8 @@ def now(workspace: Workspace, folder: Path) -> Now:
 
 @lru_cache(maxsize=32)
 def _draw(folder: Path, steps: int, impact: int) -> None:
-    """Draw the cut at the last stored step and, of several impacts, how the coating has grown; once for each step."""
+    """Draw the cross-section at the last stored step and, for several impacts, the growth of the coating. Each step is drawn only
+    once."""
     with _DRAWING:
         if steps:
             picture.section_picture(Result(folder), folder / "live.png")
@@ -117,6 +120,6 @@ def _flat(lines: str) -> str:
 
 
 def as_csv(columns: Mapping[str, Any]) -> str:
-    """Columns of numbers as the text of a csv table."""
+    """Return columns of numbers as the text of a CSV table."""
     rows = zip(*columns.values(), strict=True)
     return "\n".join([",".join(columns), *(",".join(f"{value:.7g}" for value in row) for row in rows)]) + "\n"

@@ -1,4 +1,4 @@
-"""The pages: forms of gas, impact, coating and job, a run, all runs, metals."""
+"""The web pages: forms for gas, impact, coating and job; one run; all runs; metals."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,8 +30,8 @@ GAS = ("gas.kind", "gas.nozzle", "gas.pressure", "gas.temperature", "gas.standof
 
 @dataclass(frozen=True)
 class Input:
-    """A page with a form. template: of `coldspray new`; verb: that computes it, "" for none; main: the fields that matter, the others
-    are folded."""
+    """A page with a form. template: name of the example (`coldspray new`) with which the form begins; verb: command that computes the
+    input, "" for none; main: the most important fields, which are always visible."""
 
     path: str
     title: str
@@ -41,7 +41,7 @@ class Input:
 
     @property
     def entries(self) -> Entries:
-        """The fields that the form can have."""
+        """Return the schema entries of all possible fields of the form."""
         return entries_of(job_schema() if self.template == "job" else scene_schema())
 
 
@@ -63,7 +63,7 @@ LINKS = {page.path: page.title for page in INPUTS} | {"/runs": "Runs", "/metals"
 
 @contextmanager
 def frame(path: str) -> Iterator[None]:
-    """Head with the links of all pages, and the width of the content. path: of this page."""
+    """Make the page header with links to all pages, and set the width of the content. path: address of this page."""
     ui.colors(primary="#1f78c8")
     ui.query(".nicegui-content").classes("p-3 sm:p-5 items-stretch max-w-[1500px] mx-auto")
     with ui.header(elevated=False).classes("bg-primary text-white px-3 py-2 gap-x-5 gap-y-1 items-center"):
@@ -85,7 +85,7 @@ async def tried(action: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def add_pages(workspace: Workspace) -> None:
-    """Register all pages."""
+    """Register all pages at the web server."""
     for page in INPUTS:
         ui.page(page.path)(partial(_input, page, page.entries, workspace))
     ui.page("/run/{name:path}")(partial(_run, workspace))
@@ -97,7 +97,8 @@ def add_pages(workspace: Workspace) -> None:
 
 
 def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") -> None:
-    """A form, and beside it what its values give, read anew at each change. copy: a scene or a folder of results to begin with."""
+    """Make a form and, beside it, the preview of its values, which is updated at each change. copy: name of a scene or a results
+    folder whose text fills the form at the start."""
     turn = 0
 
     async def check() -> None:
@@ -144,14 +145,15 @@ def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") 
 
 
 def _copied(workspace: Workspace, name: str) -> str:
-    """The text that a run was computed from: of the scene of its name, else the scene or job that its folder keeps."""
+    """Return the text from which a run was computed: the scene with the name of the run or, if there is none, the scene or job in the
+    run's folder."""
     folder = workspace.folder(name)
     places = [workspace.inside(f"{name}.toml"), folder / "scene.toml", folder / "job.toml"]
     return read_text(next((path for path in places if path.is_file()), places[1]))
 
 
 def _answer(seen: Look, name: str) -> None:
-    """What the values of a form give."""
+    """Show the preview of the values of a form."""
     if seen.numbers:
         with ui.element("div").classes("grid grid-cols-1 sm:grid-cols-2 gap-x-5 gap-y-2 w-full"):
             for line in seen.numbers:
@@ -177,7 +179,7 @@ def _answer(seen: Look, name: str) -> None:
 
 
 def _nozzles() -> None:
-    """Table of the nozzles of the library."""
+    """Make the table of the nozzles in the library."""
     lengths = ("throat", "exit", "inlet", "converging", "diverging", "barrel")
     known = [vars(nozzle) for nozzle in nozzles.library().values()]
     rows = [{**each, **{key: show(each[key], "mm") for key in lengths}} for each in known]
@@ -186,7 +188,7 @@ def _nozzles() -> None:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Mapping[str, Any]], **more: Any) -> ui.table:
-    """A table without pages; the first column has the names of the rows."""
+    """Make a table on one page. heads: column headings; the first column holds the names of the rows."""
     columns = [{"name": key, "label": key, "field": key, "align": "left", "sortable": True} for key in heads]
     cells = [{key: value for key, value in row.items() if isinstance(value, str)} for row in rows]
     table = ui.table(columns=columns, rows=cells, row_key=heads[0], pagination={"rowsPerPage": 0}, **more)
@@ -197,7 +199,7 @@ def _table(heads: Sequence[str], rows: Iterable[Mapping[str, Any]], **more: Any)
 
 
 def _run(workspace: Workspace, name: str) -> None:
-    """A run: its state, what it has computed so far, and its report once it is finished."""
+    """Make the page of a run: its state, its results so far, and its report after the end of the run."""
     seen: Now | None = None
 
     async def refresh() -> None:
@@ -268,7 +270,7 @@ def _run(workspace: Workspace, name: str) -> None:
 
 
 def _report(workspace: Workspace, folder: Path, row: Row) -> str:
-    """The address of the page of a finished run or job; the page is written if it is missing or older than the run."""
+    """Return the web address of the report of a finished run or job. The report is written if it is missing or older than the run."""
     page, summary = folder / ("job.html" if row.kind == JOB else "report.html"), folder / "summary.json"
     if row.kind != JOB and (not page.is_file() or page.stat().st_mtime < summary.stat().st_mtime):
         workspace.call("report", str(folder))
@@ -286,7 +288,7 @@ def _copy(workspace: Workspace, name: str) -> None:
 
 
 def _rows_table(rows: list[Row], **more: Any) -> ui.table:
-    """Table of folders of results; a name leads to its page."""
+    """Make a table of results folders; each name is a link to the page of its run."""
     table = _table(("name", "state", "changed", "result"), map(_cells, rows), **more)
     link = '<a :href="props.row.to">{{ props.value }}</a>'
     table.add_slot("body-cell-name", f'<q-td :props="props" class="whitespace-nowrap">{link}</q-td>')
@@ -302,7 +304,7 @@ def _cells(row: Row) -> dict[str, str]:
 
 
 def _runs(workspace: Workspace) -> None:
-    """All folders of results: filter, compare, delete."""
+    """Make the page of all results folders, where the user can filter, compare and delete them."""
 
     async def compare() -> None:
         out = workspace.runs / "comparison.html"
@@ -345,7 +347,8 @@ def _runs(workspace: Workspace) -> None:
 
 
 def _metals(workspace: Workspace) -> None:
-    """The metals of the library, curves of their strength sets, and a table of one's own."""
+    """Make the page of the metals in the library, with flow curves of their strength sets and a form for the user's own table of
+    metals."""
 
     def draw() -> None:
         values: dict[str, float] = {}
@@ -393,8 +396,8 @@ def _metals(workspace: Workspace) -> None:
 
 
 def _own_metals(workspace: Workspace, name: str, content: bytes) -> str:
-    """Keep an uploaded table of metals in the workspace if its reader takes it. Returns the lines of the command. Raises
-    ColdsprayError."""
+    """Store an uploaded table of metals in the workspace if it can be read. Returns the text lines of the command `coldspray
+    materials --import`. Raises ColdsprayError."""
     if not name.endswith(".csv"):
         raise ColdsprayError(f"{name}: give a .csv, or copy a .toml into {workspace.root}")
     path = workspace.save(name.removesuffix(".csv"), content.decode("utf-8", "replace"), ".csv")

@@ -1,4 +1,4 @@
-"""A process of the queue: waits until no other of its workspace computes, then becomes `coldspray WORDS`."""
+"""A queued process: it waits until no other process of its workspace computes, then it executes `coldspray WORDS`."""
 
 import fcntl
 import os
@@ -8,7 +8,7 @@ import sys
 
 
 def main(lock: str, *words: str) -> None:
-    """Wait for a lock, a file, and execute the command, which holds it until it ends."""
+    """Wait for the lock on a file, then execute the command. The command holds the lock until it ends. lock: path of the file."""
     # a shell can have the server ignore SIGINT, and the server has bounded its own memory: neither is for the run
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     most = resource.getrlimit(resource.RLIMIT_DATA)[1]

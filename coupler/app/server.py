@@ -1,4 +1,4 @@
-"""The server: on this machine only, for those who have its address with the token."""
+"""The web server. It accepts connections only from this machine, and only requests that have the secret token."""
 
 import hmac
 import secrets
@@ -24,8 +24,8 @@ Message = Callable[..., Awaitable[Any]]
 
 
 class Guard:
-    """ASGI application that lets through who has the token: in the address, or in the cookie that it then gives. Requests that a page
-    of another address makes are refused."""
+    """ASGI application that accepts only requests with the token, in the address or in the cookie that it sets afterwards. It refuses
+    requests from pages of other web sites."""
 
     def __init__(self, app: Callable[..., Awaitable[None]], token: str, cookie: str):
         self.app, self.token, self.cookie = app, token, cookie
@@ -71,7 +71,8 @@ async def _answer(send: Message, status: int, body: bytes, headers: list[tuple[b
 
 
 def serve(workspace: Workspace, port: int, show: bool) -> None:
-    """Serve a workspace until Ctrl-C. port: 0 takes a free one; show: open a browser. Raises ColdsprayError if the port is in use."""
+    """Run the web server for a workspace until Ctrl-C. port: port number, 0 for any free one; show: whether to open a browser. Raises
+    ColdsprayError if the port is in use."""
     token = secrets.token_urlsafe(24)
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

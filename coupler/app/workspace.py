@@ -1,4 +1,4 @@
-"""The folder that the page works in: its scenes, its runs and their processes. No path leads out of it."""
+"""The folder with the scenes, runs and processes of the local web page. Paths outside this folder are refused."""
 
 import fcntl
 import os
@@ -40,8 +40,8 @@ _OF_FILES = re.compile(r"library|(particle(\[\d+\])?|coating)\.files?|powder\.si
 
 @dataclass(frozen=True)
 class Row:
-    """A folder of results. name: its path in `runs`; kind: RUN, COATING or JOB; words: its metals and its
-    verdict, or what is wrong; changed: s since 1970."""
+    """A results folder. name: its path below `runs`; kind: RUN, COATING or JOB; words: its metals and its verdict, or the error
+    message if it is damaged; changed: time of the last change, s since 1970."""
 
     name: str
     kind: str
@@ -51,8 +51,8 @@ class Row:
 
 
 class Workspace:
-    """Scenes in `root`, results in `root`/runs. templates: what forms begin with, by kind; here: the pace of this machine. Its methods
-    raise ColdsprayError."""
+    """A workspace: scenes are in the folder `root`, results in `root`/runs. templates: start text of the forms, by kind; here: speed
+    of this machine. All methods raise ColdsprayError."""
 
     def __init__(self, root: Path, templates: Mapping[str, str], here: Pace):
         self.root, self.templates, self.here = root.resolve(), templates, here
@@ -60,25 +60,27 @@ class Workspace:
         self.runs.mkdir(parents=True, exist_ok=True)
 
     def inside(self, name: str) -> Path:
-        """A path below `root`, of its name there. Raises StoreError where it leads out, by dots or by a link."""
+        """Return the path of a file below `root`. name: its path relative to `root`. Raises StoreError if the path leads out of
+        `root`, by ".." or by a link."""
         path = self.root / name
         if "\0" in name or not path.resolve().is_relative_to(self.root):
             raise StoreError(f"{name[:80]!r} lies outside the workspace: copy it into {self.root}")
         return path
 
     def folder(self, name: str) -> Path:
-        """The folder of results of a name. Raises StoreError."""
+        """Return the path of a results folder. name: its path below `runs`. Raises StoreError."""
         path = self.inside(f"runs/{name}")
         if self.runs not in path.resolve().parents:
             raise StoreError(f"{name[:80]!r} is no folder of {self.runs}")
         return path
 
     def address(self, path: Path) -> str:
-        """The address of a file of results, another one after each change of the file."""
+        """Return the web address of a results file. The address is different after each change of the file, so that a browser loads
+        it again."""
         return f"/files/{quote(path.relative_to(self.runs).as_posix())}?{path.stat().st_mtime_ns}"
 
     def outside(self, text: str) -> list[str]:
-        """Problems of a scene or job: files that it names outside the workspace."""
+        """Return a problem for each file outside the workspace that a scene or job names. text: TOML text of the scene or job."""
         problems = []
         with suppress(ValueError):  # told by its reader
             for key, value in leaves(parse_toml(text)):
@@ -90,7 +92,7 @@ class Workspace:
         return problems
 
     def save(self, name: str, text: str, suffix: str = ".toml") -> Path:
-        """Write a new file into `root`. Raises StoreError where the name is taken or is none."""
+        """Write a new file into `root`. Raises StoreError if the name is not valid or already in use."""
         if not _NAME.fullmatch(name):
             raise StoreError(
                 f"name = {name[:80]!r}: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)"
@@ -102,12 +104,13 @@ class Workspace:
         return path
 
     def free(self, stem: str) -> str:
-        """A name that no scene and no folder of results has."""
+        """Return a name, beginning with `stem`, that no scene and no results folder has."""
         numbers = (f"{stem}-{k}" for k in range(1, 10**6))
         return next(n for n in numbers if not (self.root / f"{n}.toml").exists() and not (self.runs / n).exists())
 
     def start(self, folder: Path, *words: str) -> None:
-        """Put a command into the queue. folder: of its results, where its process is known. Raises StoreError if it has one."""
+        """Put a command into the queue. folder: its results folder, in which the process is registered. Raises StoreError if the
+        folder already has a process."""
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / LOG).open("a") as log:
             try:
@@ -122,7 +125,7 @@ class Workspace:
         write_text(folder / PID, str(process.pid))
 
     def begin(self, verb: str, name: str, text: str) -> Path:
-        """Save a new scene or job, and put it into the queue. Returns the folder of its results."""
+        """Save a new scene or job, and put its computation into the queue. Returns the results folder."""
         folder = self.folder(name)
         if problems := self.outside(text):
             raise StoreError("\n".join(problems))
@@ -132,7 +135,7 @@ class Workspace:
         return folder
 
     def go_on(self, folder: Path) -> None:
-        """Put a stopped or undecided run, or a job, into the queue again. Raises StoreError for any other folder."""
+        """Put a stopped run, an undecided run or a job into the queue again. Raises StoreError for other folders."""
         if not _is_ours(folder):
             raise StoreError(f"{folder.name} is no folder of a run or a job")
         scene = self.root / f"{folder.relative_to(self.runs)}.toml"
@@ -145,15 +148,15 @@ class Workspace:
             self.start(folder, "run", str(scene), "--out", str(folder))
 
     def stop(self, folder: Path) -> None:
-        """Stop a process as Ctrl-C does; it keeps what it has computed. One that waits has computed nothing, and is killed: it can
-        still ignore an interrupt."""
+        """Stop the process of a folder as Ctrl-C does; its results so far are kept. A process that still waits in the queue has no
+        results and is killed, because it may ignore an interrupt."""
         if alive(folder):
             with suppress(ProcessLookupError, ValueError):
                 kind = signal.SIGINT if last_lines(folder / LOG) else signal.SIGKILL
                 os.killpg(int(read_text(folder / PID)), kind)
 
     def call(self, *words: str) -> str:
-        """Run a short command and return what it prints. Raises ColdsprayError with its message."""
+        """Execute a short command and return its printed text. Raises ColdsprayError with the message of the command."""
         done = subprocess.run(
             [sys.executable, "-m", "coupler", *words], cwd=self.root, env=_environment(), stdin=subprocess.DEVNULL,
             capture_output=True, text=True,
@@ -163,13 +166,14 @@ class Workspace:
         return done.stdout
 
     def delete(self, folder: Path) -> None:
-        """Remove a folder of results, of no other kind and without a process."""
+        """Delete a results folder. Raises StoreError for other folders, and for a folder with a process."""
         if alive(folder) or not _is_ours(folder):
             raise StoreError(f"{folder.name} is running, a link, or no folder of a run: it is not deleted")
         shutil.rmtree(folder)
 
     def rows(self, below: Path | None = None) -> list[Row]:
-        """All folders of results below a folder, by default `runs`, the latest first; those within another are parts of it."""
+        """All results folders below the folder `below` (default: `runs`), latest first. Results folders inside another one are parts
+        of it and not listed."""
         found = []
         for place, folders, _ in os.walk(below or self.runs):
             for name in sorted(folders):
@@ -179,7 +183,7 @@ class Workspace:
         return sorted(found, key=lambda row: -row.changed)
 
     def row(self, folder: Path) -> Row:
-        """What is known of a folder of results; a damaged one says what is wrong."""
+        """The data of a results folder. For a damaged folder, `words` is the error message."""
         kind, state, words, changed = kind_of(folder) or RUN, STOPPED, "", 0.0
         with suppress(OSError):
             changed = max(path.stat().st_mtime for path in folder.iterdir())
@@ -211,12 +215,14 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _environment() -> dict[str, str]:
-    """Variables of a process: it imports nothing from the workspace, whose files can have names of modules."""
+    """Environment variables for a new process. Python must not import from the workspace, because files of the user can have the
+    names of modules."""
     return {**os.environ, "PYTHONSAFEPATH": "1"}
 
 
 def alive(folder: Path) -> bool:
-    """Whether a process of the page is at work on a folder: it holds the lock of the log, whichever server has started it."""
+    """Whether a process of the web page computes in a folder. Such a process holds the lock on the log file, whichever server has
+    started it."""
     try:
         with (folder / LOG).open() as log:
             fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -228,7 +234,7 @@ def alive(folder: Path) -> bool:
 
 
 def last_lines(path: Path, most: int = 1) -> str:
-    """The last lines of a text file, "" without one."""
+    """The last lines of a text file, at most `most`; "" if the file does not exist."""
     with suppress(StoreError):
         return "\n".join(read_text(path).strip().splitlines()[-most:])
     return ""

@@ -1,4 +1,4 @@
-"""The command `coldspray accuracy`; accuracy and time in `check` and `run`: forecast, and choice of the resolution."""
+"""The command `coldspray accuracy`. Also for `check` and `run`: the estimate of error and time, and the choice of the resolution."""
 
 import argparse
 import math
@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
 
 
 def add_to_run(option: Option) -> None:
-    """The options of `run` that choose the resolution."""
+    """Add the options of `run` that choose the resolution."""
     option("--within", metavar="TIME", help='choose the finest resolution for this wall time: "60s", "5min", "1h"')
     text = 'choose the coarsest resolution with this forecast error of the shape of the splat: "2%%"'
     option("--accuracy", metavar="PERCENT", help=text)
@@ -52,7 +52,7 @@ def add_to_run(option: Option) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute a scene at several numbers of points, or continue, and draw. Returns the exit code."""
+    """Compute a scene at several numbers of points, or continues such a study, and draw the result. Returns the exit code."""
     from ..studies import accuracy
     from ..studies.table import write_rows
 
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def here(recalibrate: bool = False) -> "Pace":
-    """The pace of this machine, measured if it is not known. recalibrate: measure again."""
+    """The speed of this machine, which is measured if it is not known. recalibrate: measure it again."""
     from ..studies import pace
 
     def measure() -> float:
@@ -82,7 +82,7 @@ def here(recalibrate: bool = False) -> "Pace":
 
 
 def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
-    """Compute a scene with the other values of a choice of the model (key in `spread.SPREADS`), and print the range of each measure.
+    """Compute a scene with the other values of a model choice, and print the range of each measure. choice: key in `spread.SPREADS`;
     out: folder of the run of the scene."""
     from ..files.result import Result
     from ..studies import spread
@@ -95,9 +95,9 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 
 
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
-    """The scene with the resolution that --within or --accuracy determine, and a text line about it. within, accuracy: text of these
-    options. With both, --accuracy decides, if the time allows it. Raises ColdsprayError for text that is no time or percentage,
-    AccuracyError if no resolution is possible."""
+    """Return the scene with the resolution that --within or --accuracy determines, and a text line about it. within, accuracy: texts
+    of these options. If both are given, --accuracy determines the resolution, provided the time is sufficient. Raises ColdsprayError
+    for a text that is not a time or a percentage, AccuracyError if no resolution is possible."""
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan

@@ -1,4 +1,4 @@
-"""The command `coldspray app`: forms, runs and results in a browser of this machine."""
+"""The command `coldspray app`: a local web page with forms, runs and results."""
 
 import argparse
 import re
@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve until Ctrl-C. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the web server until Ctrl-C. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     from ..app.server import Workspace, serve
     from ..files.outputs import check_folder
     from .accuracy import here

@@ -22,14 +22,14 @@ Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a comman
 
 
 def path(text: str) -> Path:
-    """The type of an option that takes a path. An empty one is refused, because it would mean the current folder."""
+    """Option type: a path. An empty text is refused, because it would mean the current folder."""
     if not text.strip() or "\0" in text:
         raise argparse.ArgumentTypeError("the name is empty or has a null character; give '.' for the current folder")
     return Path(text)
 
 
 def seconds(text: str) -> float:
-    """The type of an option that takes a positive, finite number of seconds."""
+    """Option type: a positive, finite number of seconds."""
     with contextlib.suppress(ValueError):
         if 0.0 < (value := float(text)) < math.inf:
             return value
@@ -39,8 +39,9 @@ def seconds(text: str) -> float:
 def quantity(
     option: str, dimension: str, positive: bool = True, form: str = "{}", limits: tuple[str, str] | None = None
 ) -> Callable[[str], float]:
-    """The type of an option that takes text with a unit, such as "300 ns", and gives SI; it raises ColdsprayError. positive: zero and
-    negative values are refused; form: a format that completes the text before it is read; limits: least and greatest value, as text."""
+    """Make the option type for a text with a unit, such as "300 ns". The type returns an SI value, and raises ColdsprayError.
+    positive: zero and negative values are refused; form: format that adds missing parts, such as a unit, to the text; limits:
+    smallest and largest value, as text."""
 
     def read(text: str) -> float:
         from ..units import UnitError, parse
@@ -59,14 +60,15 @@ def quantity(
 
 
 def add_command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command. run: its function; text: its line of help. Returns the function that adds its arguments."""
+    """Add a command to the parser. run: function that executes it; text: its help line. Returns the function that adds arguments to
+    it."""
     parser = commands.add_parser(name, help=text)
     parser.set_defaults(command=run)
     return parser.add_argument
 
 
 def add_scene(option: Option) -> None:
-    """Add the argument and the options of a command that reads a scene; `scene_of` reads it."""
+    """Add the argument and the options of a command that reads a scene; `scene_of` evaluates them."""
     option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
     option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
            help="set a key of the scene, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
@@ -76,7 +78,8 @@ def add_scene(option: Option) -> None:
 
 
 def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command that computes a scene many times; `study_folder` makes its folder. Arguments and result as of `add_command`."""
+    """Add a command that computes a scene many times; `study_folder` makes its folder. Arguments and result are those of
+    `add_command`."""
     option = add_command(commands, verb, run, text)
     add_scene(option)
     option("--out", type=path, metavar="DIR",
@@ -87,7 +90,7 @@ def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace],
 
 
 def scene_of(arguments: argparse.Namespace) -> "Scene":
-    """The scene of a command with the settings of its options. Raises SceneError with every problem."""
+    """The scene of a command, with the changes by its options. Raises SceneError with all problems."""
     from ..plan.reading import Scene
 
     settings = list(arguments.settings)
@@ -98,7 +101,7 @@ def scene_of(arguments: argparse.Namespace) -> "Scene":
 
 
 def _setting(text: str) -> tuple[str, str | None]:
-    """The type of `--set`: key and value, None for an empty value."""
+    """Option type of `--set`: a key and its value; None if the value is empty."""
     key, sign, value = text.partition("=")
     if not sign:
         raise argparse.ArgumentTypeError(
@@ -108,7 +111,7 @@ def _setting(text: str) -> tuple[str, str | None]:
 
 
 def at_least_one(text: str, most: int | None = None) -> int:
-    """The type of an option that takes a whole number from one to `most`."""
+    """Make the option type for a whole number from one to `most`."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
     if most is not None and int(text) > most:
@@ -117,19 +120,20 @@ def at_least_one(text: str, most: int | None = None) -> int:
 
 
 def add_jobs(option: Option, text: str) -> None:
-    """Add the option --jobs; `jobs_of` reads it. text: for its help."""
+    """Add the option --jobs; `jobs_of` evaluates it. text: help text."""
     option("--jobs", type=at_least_one, metavar="N", help=f"{text} (default: all cores that this process may use)")
 
 
 def jobs_of(arguments: argparse.Namespace) -> int:
-    """Number of computations at the same time: --jobs, by default the number of cores."""
+    """Number of simultaneous computations: --jobs, by default the number of cores."""
     from ..core.cores import cores
 
     return arguments.jobs or cores()
 
 
 def share(text: str, option: str) -> float:
-    """A percentage such as "2%" as a number from 0 to 1. Raises StoreError for other text."""
+    """Convert a percentage such as "2%" to a number from 0 to 1. option: its name, for the message. Raises StoreError for other
+    text."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
         raise StoreError(
@@ -139,8 +143,8 @@ def share(text: str, option: str) -> float:
 
 
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
-    """Make the folder of a study, --out or runs/<verb>-<scene name>, with the scene in it. Returns it. names: file names of the study.
-    Raises StoreError if the folder holds the study of another scene."""
+    """Make the folder of a study (--out, or runs/<verb>-<scene name>) and write the scene into it. Returns the folder. names: file
+    names of the study. Raises StoreError if the folder holds the study of another scene."""
     from ..files.inputs import parse_toml, read_toml
     from ..files.outputs import claim_folder
 
@@ -156,12 +160,12 @@ def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names
 
 
 def remake(arguments: argparse.Namespace) -> str:
-    """The command that computes a table again, as text."""
+    """The command line with which a table can be computed again."""
     return f"remake: coldspray {shlex.join(arguments.words)}"
 
 
 def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:
-    """A function that prints a line to a standard stream, or with `quiet` does nothing."""
+    """Return a function that prints a line to a standard stream. With `quiet` the function does nothing."""
     return lambda text: None if quiet else print(text, file=getattr(sys, to), flush=True)
 
 
@@ -171,13 +175,13 @@ def add_quiet(option: Option) -> None:
 
 
 def add_verbose(option: Option, text: str) -> None:
-    """Add the option --verbose. text: its help."""
+    """Add the option --verbose. text: help text."""
     option("-v", "--verbose", action="store_true", help=text)
 
 
 @contextmanager
 def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
-    """Context that shows the current work and its duration. text: the work; quiet: show nothing."""
+    """Context manager that shows the present work and its duration. text: name of the work; quiet: show nothing."""
     from ..progress import Progress
 
     with Progress(quiet) as progress:
@@ -187,7 +191,8 @@ def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
 
 @contextmanager
 def continuing(out: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Context of a study in the folder `out`: on an interrupt, say that the same command continues it."""
+    """Context manager for a study in the folder `out`. On an interrupt it prints that the same command continues the study. say:
+    function that prints a line."""
     try:
         yield
     except KeyboardInterrupt:

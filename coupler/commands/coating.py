@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe(measures: "CoatingMeasures") -> list[str]:
-    """The measures as text lines for a terminal."""
+    """The measures of a coating as text lines for a terminal."""
     from ..studies.coating import lines
 
     table = [

@@ -1,4 +1,4 @@
-"""A library of metals for scenes from a csv table: `coldspray materials --import`."""
+"""Import of metals from a CSV table into a library for scenes: `coldspray materials --import`."""
 
 import csv
 import io
@@ -21,8 +21,8 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.,:;/()=&+ -]+")
 
 
 def write_library(table: Path, out: Path, force: bool) -> list[str]:
-    """Write the metals of a csv table into a TOML file. Returns text lines about them. Raises SceneError with every problem, by row and
-    column."""
+    """Write the metals of a CSV table into a TOML file. Returns text lines about the metals. Raises SceneError with all problems, by
+    row and column."""
     from ..errors import SceneError
     from ..files.inputs import read_text
     from ..files.outputs import MARK, claim_file, write_text
@@ -42,7 +42,7 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
 
 
 def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[str]]:
-    """The tables of a library from a csv text: name -> values; and text lines about them."""
+    """Convert a CSV text to tables of a library (name -> values), and text lines about them."""
     from ..errors import SceneError
     from ..physics.materials import UNITS, from_scene
 
@@ -84,8 +84,8 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
 
 
 def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
-    """A cell as a value of a scene. unit: from the head of the column, None without one: then the magnitude of the number decides
-    between Pa, MPa and GPa. comma: it has decimal commas."""
+    """Convert a cell of the table to a value of a scene. unit: unit in the column heading; if it is None, the magnitude of the number
+    decides between Pa, MPa and GPa. comma: whether the number has a decimal comma."""
     from ..physics.materials import UNITS
 
     if name in _TEXTS:
@@ -105,8 +105,8 @@ def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
 
 
 def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object], str]:
-    """The table of a metal with heat capacity and conductivity, and a remark. If they are missing, they are those of the metal of the
-    library with the nearest density."""
+    """The table of a metal, completed with heat capacity and conductivity, and a remark. Missing values are taken from the metal of
+    the library with the nearest density."""
     from ..physics import materials
 
     usual: dict[str, object] = {"cp": "500 J/(kg K)", "k": "50 W/(m K)"}

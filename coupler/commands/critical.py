@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search the critical velocity of a scene, or continue it, and draw. Returns the exit code."""
+    """Search the critical velocity of a scene, or continues the search, and draw the result. Returns the exit code."""
     from ..errors import StoreError
     from ..plan.planning import plan
     from ..plan.refinement import at_points, companions

@@ -1,4 +1,4 @@
-"""The command `coldspray gas`: impact velocity and temperature over particle diameters, as table, file and picture."""
+"""The command `coldspray gas`: impact velocity and temperature against particle diameter, as table, file and picture."""
 
 import argparse
 import textwrap
@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
 
 
 def add_conditions(option: Option) -> None:
-    """Add the options of gas, nozzle and material; `setup` reads them."""
+    """Add the options for gas, nozzle and material; `setup` evaluates them."""
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
@@ -47,7 +47,7 @@ def add_conditions(option: Option) -> None:
 
 
 def add_library(option: Option) -> None:
-    """Add the option --library; `own_tables` reads it."""
+    """Add the option --library; `own_tables` evaluates it."""
     option("--library", type=path, metavar="FILE", help="file with your own metals and nozzles, or a scene with some")
 
 
@@ -65,7 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Setup(NamedTuple):
-    """Input data of `gas` and `window`. metals: name -> metal; diameters: m; fly(metal, diameters): computes flights of particles."""
+    """Input data of the commands `gas` and `window`. metals: metals by name; diameters (m); fly(metal, diameters): function that
+    computes the flights of particles."""
 
     flow: "Flow"
     metals: "dict[str, Material]"
@@ -74,8 +75,8 @@ class Setup(NamedTuple):
 
 
 def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
-    """Read the conditions, and check that the files of --csv and --png can be written. command, sizes: name of the command and of its
-    option for diameters, for messages. Raises SceneError with every problem of the conditions."""
+    """Read the conditions from the options, and check that the files of --csv and --png can be written. command, sizes: names of the
+    command and of its option for diameters, for messages. Raises SceneError with all problems."""
     from ..errors import SceneError
     from ..files.outputs import claim_file
     from ..physics import materials
@@ -114,7 +115,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
 
 
 def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
-    """The nozzles of the library and of --library. Raises SceneError with every problem of the file."""
+    """The nozzles of the library and of the file --library. Raises SceneError with all problems of the file."""
     from ..errors import SceneError
     from ..spray import nozzles
 
@@ -125,7 +126,7 @@ def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
 
 
 def own_tables(arguments: argparse.Namespace) -> "dict[str, Any]":
-    """The tables `materials` and `nozzles` of --library. Raises SceneError with every problem of these."""
+    """The tables `materials` and `nozzles` of the file --library. Raises SceneError with all problems of these tables."""
     from ..errors import SceneError
     from ..files.inputs import read_toml
     from ..plan.own import with_library
@@ -172,12 +173,12 @@ def _table(flow: "Flow", material: "Material", diameters: list[float], flights: 
 
 
 def conditions_of(flow: "Flow") -> str:
-    """Text: gas, pressure, temperature and nozzle, for the title of a picture."""
+    """Gas, pressure, temperature and nozzle as text, for the title of a picture."""
     return f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
 
 
 def _at_exit(flow: "Flow", flight: "Flight") -> float:
-    """Velocity of the particle at the exit of the nozzle, m/s."""
+    """Velocity (m/s) of the particle at the exit of the nozzle."""
     return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
 
 
@@ -195,7 +196,7 @@ def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[floa
 
 
 def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
-    """Draw velocity and temperature of gas and particles along the axis as PNG."""
+    """Draw velocity and temperature of gas and particles along the axis of the nozzle, as PNG."""
     from matplotlib import colormaps
 
     from ..report.picture import blank, save

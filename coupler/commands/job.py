@@ -1,4 +1,5 @@
-"""The command `coldspray job`: answers on one page whether a powder sticks, its deposition efficiency, and its coating."""
+"""The command `coldspray job`: one page that answers whether a powder sticks, with which deposition efficiency, and what coating it
+makes."""
 
 import argparse
 from pathlib import Path
@@ -18,7 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command, or continue it. Returns the exit code. Raises ColdsprayError for an error of the user."""
+    """Compute a job, or continues it. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..files.inputs import read_text
     from ..plan.job import processor_time, read
     from ..studies import job as study

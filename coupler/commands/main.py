@@ -1,4 +1,4 @@
-"""The command `coldspray`. Heavy packages are imported where they are used, so that --help is fast."""
+"""The command `coldspray`. Large packages are imported only inside the functions that use them, so that --help is fast."""
 
 import argparse
 import codecs
@@ -44,14 +44,14 @@ _FURTHER = "continue until there is a verdict: coldspray resume {} --until TIME"
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
-    """Error handler of a text stream: replaces characters that a terminal lacks."""
+    """Error handler of a text stream: it replaces characters that the terminal cannot show."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line. argv: arguments without the name of the program. Returns the exit code."""
+    """Execute the command line. argv: arguments without the name of the program. Returns the exit code."""
     _prepare()
     words = sys.argv[1:] if argv is None else argv
     for word in words:
@@ -95,8 +95,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _prepare() -> None:
-    """Prepare the environment: open missing standard streams, handle characters that the terminal lacks, ignore a backend of matplotlib
-    for notebooks."""
+    """Prepare the process: open missing standard streams, replace characters that the terminal cannot show, and ignore a matplotlib
+    backend that is meant for notebooks."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -111,7 +111,7 @@ def _prepare() -> None:
 
 
 def _flush() -> bool:
-    """Flush the standard streams; text that cannot be written is lost. Returns whether all text was written."""
+    """Flush the standard streams. Text that cannot be written is lost. Returns whether all text was written."""
     done = True
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -123,7 +123,7 @@ def _flush() -> bool:
 
 
 def missing_library(error: Exception) -> str | None:
-    """Message with the remedy for a missing package or shared library; None for another error."""
+    """The message, with a remedy, for a missing package or shared library; None for other errors."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         extra = _EXTRAS.get(error.name.split(".")[0])
         remedy = f"pip install coldspray[{extra}]" if extra else "set the environment up again with `make setup`"
@@ -207,7 +207,7 @@ def _add_running(option: Option) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Argument parser whose errors only the first MPI rank prints."""
+    """Argument parser whose errors are printed only by the first MPI rank."""
 
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():
@@ -266,7 +266,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
-    """Run or resume by `work`, show the progress, print the results. Returns the exit code."""
+    """Execute `work`, a run or its resumption; shows the progress and print the results. Returns the exit code."""
     from ..files import checkpoint
     from ..files.store import SUMMARY
     from ..progress import Progress

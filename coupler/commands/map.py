@@ -1,4 +1,4 @@
-"""The command `coldspray map`: the table of a sweep, and maps of it with their uncertainty."""
+"""The command `coldspray map`: the table of a parameter sweep, and maps of its measures with their uncertainty."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _table(arguments: argparse.Namespace) -> "tuple[list[Row], tuple[str, ...]]":
-    """The rows of the folder, and the axes of --axes."""
+    """The rows of the table of a folder, and the axes that the option --axes names."""
     from ..files.inputs import reading
     from ..studies import runs_table
 

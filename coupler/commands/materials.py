@@ -1,4 +1,4 @@
-"""The command `coldspray materials`: list the metals of the library, show one of them, import metals from a table."""
+"""The command `coldspray materials`: it lists the metals of the library, shows one metal, or imports metals from a table."""
 
 import argparse
 import textwrap
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _listed(entries: "list[Entry]") -> list[str]:
-    """Text lines: one for each strength set."""
+    """Text lines about metals of the library, one line for each strength set."""
     lines = [f"{'metal':9} {'strength set':19} {'law':22} fitted"]
     for known in entries:
         for i, metal in enumerate(known.materials):
@@ -58,7 +58,7 @@ def _listed(entries: "list[Entry]") -> list[str]:
 
 
 def _explained(known: "Entry") -> list[str]:
-    """Text lines about one metal: numbers, sources, strength sets, flow stresses."""
+    """Text lines about one metal: constants, sources, strength sets, flow stresses."""
     metal, show = known.material, _value
     moduli = {"G": metal.G, "K": metal.K, "E": metal.E}
     lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]

@@ -1,4 +1,4 @@
-"""The command `coldspray mesh`: the points of a run, or of any file, become tetrahedra in a file that others read."""
+"""The command `coldspray mesh`: it converts points, from a run or from a file, to a mesh of tetrahedra in a common file format."""
 
 import argparse
 import contextlib
@@ -46,7 +46,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     from ..files.inputs import reading, require_memory
     from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple["Cloud", list[str]]:
-    """The particle of a run's folder at a stored step, with its carried surface; and remarks. Raises StoreError."""
+    """The particle of a run at a stored step, with its surface, and remarks. Raises StoreError."""
     import numpy as np
 
     from ..core.records import rows_of
@@ -106,7 +106,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
 
 
 def _impact_at(result: "Result", time: float) -> int:
-    """The impact, from 0, whose particle is stored at a time (s)."""
+    """Index (from 0) of the impact whose particle is stored at a time (s)."""
     if not (result.directory / "history.csv").is_file():
         return 0
     history = result.history()
@@ -117,8 +117,9 @@ def _impact_at(result: "Result", time: float) -> int:
 def of_file(
     path: Path, spacing: float | None = None, unit: float | None = None, columns: str | None = None
 ) -> tuple["Cloud", list[str]]:
-    """The points of a file in units of `unit` m, with the fields of known names; and remarks. columns: names of the columns of a text.
-    Raises InputError if it cannot be read or has no points, SplatError if it is a surface or no body can be made of it."""
+    """The points of a file, with the fields of known names, and remarks. unit: unit of the coordinates, m; columns: names of the
+    columns of a text file. Raises InputError if the file cannot be read or has no points, SplatError if it holds a surface or its
+    points form no body."""
     import numpy as np
 
     from ..core.records import rows_of
@@ -164,7 +165,7 @@ def of_file(
 
 
 def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
-    """The unit of coordinates, m: of --unit, or of the file. Raises SplatError where they differ."""
+    """The unit of coordinates in m: from --unit, or from the file. Raises SplatError if the two differ."""
     if not of_file:
         return given or 1.0
     try:
@@ -184,7 +185,7 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
 
 
 def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
-    """Values of a field in SI; None where it has an SI unit and the one given is not understood."""
+    """Values of a field in SI units; None if the field needs an SI unit and the given unit is unknown."""
     if unit in ("", "-", "1", _SI.get(field, "")):
         return values
     try:
@@ -195,9 +196,9 @@ def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
 
 
 def estimated_spacing(x: "np.ndarray") -> float:
-    """Edge of the cube that each of points x (n,3) has to itself, from the distances to neighbours; m. Half the points see the ball
-    that the k-th neighbour touches filled with k points and half of it; averaged over k, and measured where neighbours are densest,
-    inside the body. Within 3 % for lattices and scattered points. Raises SplatError."""
+    """Estimate of the point spacing (m): edge of the cube that each of the points x (n,3) occupies, from the distances to neighbours.
+    It follows from the volume of balls that contain k neighbours, averaged over k, at the densest points, which lie inside the body.
+    The error is at most 3 % for lattices and scattered points. Raises SplatError."""
     import numpy as np
     from scipy.spatial import cKDTree
 
@@ -217,7 +218,8 @@ def estimated_spacing(x: "np.ndarray") -> float:
 
 
 def write(path: Path, splat: "Splat") -> None:
-    """All bodies of a splat with their fields in one file; the cell field `body` numbers them. Raises SplatError."""
+    """Write all bodies of a splat with their fields to one file; the cell field `body` is the number of the body. Raises
+    SplatError."""
     import meshio
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""The commands `coldspray new`, `shapes`, `nozzles` and `schema`: help to write a scene."""
+"""The commands `coldspray new`, `shapes`, `nozzles` and `schema`, which help to write a scene."""
 
 import argparse
 import json
@@ -51,7 +51,7 @@ def add(commands: Commands) -> None:
 
 
 def new(arguments: argparse.Namespace) -> int:
-    """Write an example file, and beside a scene the schema. Returns the exit code."""
+    """Write an example file and, for a scene, also the JSON schema. Returns the exit code."""
     from ..files.outputs import claim_file, write_text
 
     kind, name = arguments.kind, arguments.name
@@ -82,7 +82,7 @@ def new(arguments: argparse.Namespace) -> int:
 
 
 def shapes(arguments: argparse.Namespace) -> int:
-    """Print the shapes. Returns the exit code."""
+    """Print the particle shapes. Returns the exit code."""
     from ..physics.shapes import SHAPES, form
 
     print("lengths along x, y, z at tilt 0, over the diameter of the sphere of equal volume; tilt turns about y\n")
@@ -94,13 +94,13 @@ def shapes(arguments: argparse.Namespace) -> int:
 
 
 def nozzles(arguments: argparse.Namespace) -> int:
-    """Print the nozzles. Returns the exit code."""
+    """Print the nozzles of the library. Returns the exit code."""
     print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments).values()))
     return 0
 
 
 def schema(arguments: argparse.Namespace) -> int:
-    """Print the schema, or write it. Returns the exit code."""
+    """Print the JSON schema of a scene, or writes it to a file. Returns the exit code."""
     from ..files.outputs import claim_file, write_text
 
     text = _schema(arguments.of)
@@ -121,7 +121,7 @@ def _schema(of: str = "scene") -> str:
 
 
 def _example(name: str) -> str:
-    """The text of an example: in the package of a wheel, else beside the package of a checkout."""
+    """The text of an example: from the package of an installed wheel, or from the folder beside the package in a source tree."""
     from ..files.inputs import SCENE_LIMIT, read_text
 
     inside, beside = (folder / "workflows" / f"{name}.toml" for folder in Path(__file__).parents[1:3])
@@ -129,7 +129,7 @@ def _example(name: str) -> str:
 
 
 def _points(name: str) -> str:
-    """A table (text, um) of points on a cubic lattice in an ellipsoid of 34 x 34 x 12 um."""
+    """A text table of points (um) on a cubic lattice in an ellipsoid of 34 x 34 x 12 um."""
     step, (a, c) = 1.5, (17.0, 6.0)
     reach = [[step * (k + 0.5) for k in range(-n, n)] for n in (12, 12, 4)]
     points = [(x, y, z) for x, y, z in product(*reach) if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0]

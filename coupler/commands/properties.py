@@ -1,4 +1,4 @@
-"""The command `coldspray properties`: stiffness and conductivities of a cold coating."""
+"""The command `coldspray properties`: effective stiffness and conductivities of a cold coating."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     import json
     import shutil
     from dataclasses import asdict
@@ -83,7 +83,7 @@ def _head(name: str, of: "Properties") -> str:
 
 
 def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
-    """The properties in percent of the bulk, with the error of several runs where there are some."""
+    """The properties in percent of the values of the bulk metal, with their error if there are several runs."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""The command `coldspray sweep`: many runs of one scene, and the distributions of their measures."""
+"""The command `coldspray sweep`: many runs of one scene with varied keys, and the distributions of their measures."""
 
 import argparse
 from collections.abc import Sequence
@@ -82,7 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _forecast(sweep: "Sweep", jobs: int) -> str:
-    """Text: number of points, and wall time for all with `jobs` runs at the same time on this machine; jobs 0: on others, no time."""
+    """Text: number of points of the sweep, and wall time of all with `jobs` simultaneous runs on this machine. jobs 0: the runs are
+    on other machines, and the text gives no time."""
     from ..plan.planning import plan
     from ..plan.reading import Scene
     from ..plan.text import duration
@@ -100,7 +101,7 @@ def _forecast(sweep: "Sweep", jobs: int) -> str:
 
 
 def summarise(sweep: "Sweep", out: Path) -> list[str]:
-    """Write the table of all points, and for an ensemble the distributions, into a folder. Returns text lines."""
+    """Write the table of all points and, for an ensemble, the distributions into a folder. Returns text lines."""
     from ..files.outputs import MARK
     from ..studies import distribution, runs_table
 
@@ -125,7 +126,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
-    """The distributions as aligned text lines; error: median of the errors from the resolution."""
+    """The distributions as aligned text lines. The column `error` is the median of the resolution errors."""
     from ..studies.table import in_columns
 
     head = ("", "runs", "mean", "deviation", "error", "5 %", "median", "95 %", "unit", "strongest rank correlation")

@@ -1,4 +1,4 @@
-"""The command `coldspray watch`: shows the state of a running run from its files."""
+"""The command `coldspray watch`: it shows the state of a running computation, which it reads from the files of the run."""
 
 import argparse
 import time
@@ -73,8 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 @lru_cache(maxsize=1)
 def _coating(run: Path, impact: int) -> str:
-    """Text line, with a line break before it, about the coating before an impact; "" before the second impact. Cached, as the coating
-    changes only with the impact."""
+    """A line break and a text line about the coating before an impact; "" before the second impact. The text is cached, because the
+    coating changes only between impacts."""
     from ..files.result import Result
     from ..studies import coating_growth
 
@@ -82,7 +82,7 @@ def _coating(run: Path, impact: int) -> str:
 
 
 def _written(path: Path) -> float:
-    """Time of the last change of a file; 0 for a file that does not exist any more, such as an earlier checkpoint."""
+    """Time of the last change of a file; 0 if the file does not exist any more, such as an old checkpoint."""
     try:
         return path.stat().st_mtime
     except FileNotFoundError:
@@ -90,8 +90,8 @@ def _written(path: Path) -> float:
 
 
 def state(result: "Result") -> str:
-    """Text: last line of the log, last row of the history, and terms of the ledger over the kinetic energy at the start of the
-    impact."""
+    """Text: last line of the log, last row of the history, and the terms of the energy balance divided by the kinetic energy at the
+    start of the impact."""
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     lines = [_last_line(result.directory / "run.log")]
     age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
@@ -115,7 +115,7 @@ def state(result: "Result") -> str:
 
 
 def _last_line(log: Path) -> str:
-    """The last line of a log; "" without one."""
+    """The last line of a log; "" if there is none."""
     with suppress(StoreError):
         return (read_text(log).strip().splitlines() or [""])[-1]
     return ""

@@ -1,4 +1,5 @@
-"""The command `coldspray window`: a powder between critical and erosion velocity, and its deposition efficiency."""
+"""The command `coldspray window`: impact velocities of a powder compared with the critical and the erosion velocity, and the
+deposition efficiency."""
 
 import argparse
 from pathlib import Path
@@ -53,8 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
-    """Text lines: impact conditions at D10, D50, D90 and the deposition efficiency, with its range. within: relative uncertainty of
-    the critical velocity, 0 to 1."""
+    """Text lines: impact conditions at D10, D50 and D90, and the deposition efficiency with its range. within: relative uncertainty
+    of the critical velocity, 0 to 1."""
     from ..spray.flight import melting
 
     ratio = spray.ratio
@@ -73,7 +74,8 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
 
 
 def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
-    """Text: deposition efficiency at a factor on the critical velocity, and the mass below and above the window."""
+    """Text: deposition efficiency if the critical velocity is multiplied by `factor`, and the mass fractions below and above the
+    window."""
     from ..spray.window import ERODES, EROSION
 
     fates = spray.fates(factor)
@@ -84,7 +86,7 @@ def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
 
 
 def _verdict(spray: "Spray") -> str:
-    """Text: shares of the mass by verdict on the substrate, and the formula for the median particle."""
+    """Text: mass fractions by verdict on the substrate, and the formula for the median particle."""
     median = spray.formula[len(spray.formula) // 2]
     head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
     shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
@@ -103,9 +105,9 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
-    """Draw velocity over temperature at impact as PNG: the classes of the powder, and the limits for its median diameter (m). Filled
-    classes are above their own critical velocity, which depends on the diameter. within: as of `text_of`; conditions: gas and nozzle,
-    for the title."""
+    """Draw velocity against temperature at impact as PNG: the size classes of the powder, and the limits of the window for the median
+    diameter (m). Filled markers: classes above their own critical velocity, which depends on the diameter. within: as in `text_of`;
+    conditions: gas and nozzle, for the title."""
     import numpy as np
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
