@@ -1,5 +1,5 @@
-"""Errors for the user. The command line turns each of them into one message and an exit code; other exceptions are bugs and keep their
-traceback."""
+"""Errors for the user. The command line turns each of them into one message and an exit code. Other exceptions are bugs and keep
+their traceback."""
 
 import os
 

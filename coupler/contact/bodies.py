@@ -39,8 +39,8 @@ class ContactPast(NamedTuple):
 
 @dataclass(eq=False)
 class BodyContactState:
-    """State of a `BodyContact`. pairs: contact of points and facets; bonded (N,): mask of the nodes whose compression a bond
-    resists."""
+    """State of a `BodyContact`. pairs: contact of points and facets; bonded (N,): mask of the nodes whose compression is resisted by
+    a bond, not by the contact."""
 
     pairs: ContactState
     bonded: Annotated[np.ndarray, Shape(-1, dtype=bool)]
@@ -49,9 +49,9 @@ class BodyContactState:
 class BodyContact(BodyContactState):
     """Contact of the surface nodes of each body with the facets of all other bodies: neither side of a pair penetrates the other.
 
-    The stiffness uses the mean area per node, from the facet spacing of the body's surface; the substrate, whose mesh coarsens
-    outwards, uses the spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body to which it
-    is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
+    The contact stiffness uses the mean area per node, from the facet spacing of the body's surface. For the substrate, whose mesh
+    becomes coarser outwards, it uses the facet spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact
+    with the body to which it is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
     """
 
     pairs: Contact
@@ -90,7 +90,7 @@ class BodyContact(BodyContactState):
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """For each body, the facets of other bodies that its nodes can touch: surfaces do not touch during an impact if their
+        """For each body, the facets of other bodies that its nodes can touch. During an impact, two surfaces cannot touch if their
         distance is larger than half the size of the largest splat."""
         s = self.surfaces
         low, high = s.boxes(x)
@@ -107,7 +107,7 @@ class BodyContact(BodyContactState):
         return c.penalty_energy + c.sums.friction_heat + c.sums.dropped_energy
 
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf, moving: int | None = None) -> float:
-        """Stable time step (s) of bodies with penalty springs. mass (N,) kg: of the nodes, of which only the first `moving` can
+        """Stable time step (s) of bodies with penalty springs. mass (N,) kg: mass of the nodes, of which only the first `moving` can
         move (default: all); alone: stable step (s) of the bodies without the springs.
 
         The squared frequency of the sum of two stiffnesses is at most the sum of their squared frequencies.
@@ -150,8 +150,8 @@ class BodyContact(BodyContactState):
             c.sums.lost += given_up + before - self.energy
 
     def ignore_depth(self, depth: np.ndarray) -> None:
-        """Start contacts of nodes that have no contact force and lie depth (N,) m deep in another body. All of this depth is
-        ignored."""
+        """Start the contact of nodes that lie in another body and have no contact force yet. Their present depth gives no force.
+        depth (N,) m: depth of each node in the other body."""
         c, own = self.pairs, depth[self.pairs.points.node]
         new = (own > 0.0) & (c.depth == 0.0)
         c.history["ignored"][new, 0] = own[new]
@@ -183,7 +183,8 @@ class BodyContact(BodyContactState):
         return elements, heat
 
     def restore(self, state: BodyContactState) -> None:
-        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError where it does not fit."""
+        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError if the state does not
+        belong to these surfaces."""
         put(state, self)
         self.pairs.expire()
         self._is_new = False
@@ -195,7 +196,7 @@ class BodyContact(BodyContactState):
         return ContactPast(nodes, copied(c.sums))
 
     def continue_from(self, past: ContactPast) -> None:
-        """Continue from the contact of the previous set of bodies: keep its friction springs and its energy sums."""
+        """Continue from the contact `past` of the previous set of bodies: keep its friction springs and its energy sums."""
         c = self.pairs
         c.history[:] = past.nodes[c.points.node]
         c.history["body"] = ANY  # the bodies had other numbers

@@ -35,11 +35,11 @@ class Bond:
     (`release`); then the contact of the bodies resists it. A bond of infinite strength never breaks, one of zero energy breaks at
     the strength, and one of infinite energy flows at the strength.
 
-    Arrays of n bonds: nodes, or points that are not nodes; triangles, weights: the point on a triangle; gap m; area m2; stiffness
-    Pa/m; strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the strength that remains after slip under contact
-    pressure; loose: the contact resists compression; damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening;
-    traction (n,2) Pa; slid m: permanent slip; spent J: dissipated energy; heated J: part of it that has become heat of the bodies.
-    stored, dissipated: energies of all bonds, J.
+    Arrays of n bonds: nodes (or points that are not nodes); triangles, weights: the point on a triangle to which each is bonded; gap
+    (m); area (m2); stiffness Pa/m; strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the strength that remains
+    after slip under contact pressure; loose (n,): mask of the bonds whose compression is resisted by the contact; damage, 0 to 1:
+    lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent slip; spent (J): dissipated
+    energy; heated (J): part of it that has become heat of the bodies. stored, dissipated: energies of all bonds, J.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
@@ -74,10 +74,10 @@ class Bond:
         shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
         rewelds: float | np.ndarray = 0.0, loose: bool = False,
     ) -> "Bond":  # fmt: skip
-        """Bonds between points `nodes` (n,) of p (.,3) m and triangles (n,3) of nodes x (N,3) m, without force in these positions.
-        area (n,) m2: bonds of zero area are left out; stiffness Pa/m: see `penalty`.
+        """Make bonds between points `nodes` (n,) of p (.,3) m and triangles (n,3) of nodes x (N,3) m. In these positions the bonds
+        have no force. area (n,) m2: bonds of zero area are left out; stiffness (Pa/m): see `penalty`.
 
-        strength Pa, energy J/m2: in the normal direction, one value or (n,); the shear values are equal to them by default.
+        strength (Pa), energy (J/m2): in the normal direction, one value or (n,); the shear values are equal to them by default.
         rewelds, loose: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
         """
         kept = area > 0.0
@@ -238,12 +238,12 @@ class Bond:
         vars(self).update(vars(take(self, which)))
 
     def renumber(self, node: np.ndarray) -> None:
-        """Adopt a new numbering of the nodes. node (N,): new number of each node."""
+        """Change to a new numbering of the nodes. node (N,): new number of each node."""
         self.nodes, self.triangles = node[self.nodes].astype(np.int64), node[self.triangles].astype(np.int64)
 
     @classmethod
     def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
-        """One set of bonds from one or more sets, in their order; their energies are added."""
+        """One set of bonds made of one or more sets, in their order. The energies of the sets are added."""
         stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
         return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
@@ -251,7 +251,7 @@ class Bond:
 def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric coordinates (n,3) and height (n,) m of points p (n,3) above the planes of triangles (n,3,3).
 
-    A point beyond the rim gets a slightly negative coordinate, so that its bond begins without slip.
+    For a point beyond the edge of its triangle one coordinate is slightly negative, so that its bond begins without slip.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
@@ -263,7 +263,7 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check(bond: Bond) -> None:
-    """Raise SolverError unless the law of every bond is admissible."""
+    """Raise SolverError if strength, energy and stiffness of a bond are not admissible."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
         raise SolverError(

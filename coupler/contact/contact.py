@@ -1,4 +1,5 @@
-"""Contact of points on surfaces with faces of other surfaces: a search before a chunk of steps, forces in each step."""
+"""Contact of points on surfaces with faces of other surfaces. Pairs are searched before a chunk of steps; forces are computed in each
+step."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -46,8 +47,9 @@ class ContactState:
 class _Search:
     """Data of the last search of one body's points.
 
-    reach m: the search is valid while points and faces have moved less than this relative to each other; known (k,): mask of near faces
-    among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions of these nodes and of the body's points, m.
+    reach (m): the search is valid while points and faces have moved less than this relative to each other; known (k,): mask of near
+    faces among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions of these nodes and of the body's points,
+    m.
     """
 
     known: np.ndarray
@@ -65,11 +67,11 @@ class Contact(ContactState):
         share: float = 0.5, jump: float = JUMP, node: Ints | None = None, facing: Sequence[Ints] | None = None, skin: float = 0.0,
     ):  # fmt: skip
         """owner (n,): body of each point, ascending from 0; facets (k,3): nodes, normal outwards; body (k,): body of each facet;
-        stiffness N/m, spacing m: of the points of each body; share: share of the friction heat that goes to the points; jump:
-        largest inward motion of a point in one step, in spacings: a deeper point did not enter through this surface and has no
-        contact until it is outside again; node (n,): node of each point in the domain (default: none); facing: for each body, the
-        facets that its points can ever touch (default: all); skin: spacings added to the search distance: the search stays valid
-        while surfaces move this far."""
+        stiffness N/m, spacing (m): spacing of the points of each body; share: share of the friction heat that goes to the points;
+        jump: largest inward motion of a point in one step, in spacings: a deeper point did not enter through this surface and has no
+        contact until it is outside again; node (n,): node of each point in the domain (default: points are not nodes); facing: for
+        each body, the facets that its points can ever touch (default: all); skin: spacings added to the search distance: the search
+        stays valid while surfaces move this far."""
         n, bodies = len(owner), len(spacing)
         self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
@@ -114,7 +116,8 @@ class Contact(ContactState):
         return k.normal_forces(self.points, self.history)
 
     def restore(self, state: ContactState) -> None:
-        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError where it does not fit."""
+        """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError if the state does not
+        belong to these surfaces."""
         put(state, self)
         self.expire()
 
@@ -171,8 +174,8 @@ class Contact(ContactState):
         return bool(due)
 
     def _own_travel(self, body: int, travel: float, share: Floats) -> float:
-        """Largest displacement (m) of a body relative to the faces near it. share (N,): speed of each node over the largest speed;
-        the fastest node moves travel / 2, m."""
+        """Largest displacement (m) of a body relative to the faces near it. share (N,): speed of each node divided by the largest
+        speed; the fastest node moves travel / 2, m."""
         own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
         together = share[own].max(initial=0.0) + share[self._searches[body].nodes].max(initial=0.0)
         return travel * min(1.0, float(together))
@@ -196,8 +199,8 @@ class Contact(ContactState):
         return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
 
     def _start(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
-        """Start the searches of the bodies `due`. Returns the relative displacement (n,) m of points and faces up to which they are
-        valid."""
+        """Start the searches of the bodies `due`. Returns the relative displacement (n,) m of points and faces up to which the
+        searches are valid."""
         far = np.zeros(len(self.history))
         for body in due:
             s, spacing = self._searches[body], float(self.spacing[body])
@@ -213,8 +216,8 @@ class Contact(ContactState):
     def _find(
         self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
     ) -> None:
-        """Find the candidates of the points of bodies. They are valid until points and faces have moved travel (n,) m relative to
-        each other."""
+        """Find the candidate faces of the points of bodies. The candidates are valid until points and faces have moved travel (n,) m
+        relative to each other."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
         due = np.isin(p.owner, bodies)
         q: Ints | slice = slice(None) if due.all() else np.flatnonzero(due)
@@ -298,7 +301,7 @@ class Contact(ContactState):
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
         """Points (k,) among the first `first` ones that touch in this step, and the facet (k,) under each.
 
-        within m: points closer than this touch too, because a point in contact can lose it for single steps.
+        within (m): points closer than this touch too, because a point in contact can lose it for single steps.
         """
         rows = self.rows[self.rows < first]
         rows = rows[self.gap[rows] < within] if within > 0.0 else rows[self.depth[rows] > 0.0]

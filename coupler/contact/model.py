@@ -31,9 +31,10 @@ def faces_of(facets: Ints, body: Ints) -> Faces:
 
 
 class Points(NamedTuple):
-    """Arrays of n points. x m, v m/s, f N (n,3): positions, velocities, forces; owner (n,): body of each point; node (n,): its node in
-    the domain, -1 if it is no node; partner (n,): body to which the point is bonded and with which it has no contact, ANY for none;
-    stiffness (n,) N/m; spacing (n,) m: of its surface; margin (n,) m: distance up to which the last search has listed all faces."""
+    """Arrays of n points. x (m), v (m/s), f (N), each (n,3): positions, velocities, forces; owner (n,): body of each point; node
+    (n,): its node in the domain, -1 if it is not a node; partner (n,): body to which the point is bonded and with which it has no
+    contact, ANY if there is none; stiffness (n,) N/m; spacing (n,) m: spacing of its surface; margin (n,) m: distance up to which the
+    last search has listed all faces."""
 
     x: Floats
     v: Floats
@@ -47,7 +48,8 @@ class Points(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Arrays of the N nodes of the faces. x m, v m/s, f N (N,3): positions, velocities, forces. Only the first `active` nodes move."""
+    """Arrays of the N nodes of the faces. x (m), v (m/s), f (N), each (N,3): positions, velocities, forces. Only the first `active`
+    nodes move."""
 
     x: Floats
     v: Floats

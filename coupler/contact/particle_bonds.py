@@ -1,4 +1,4 @@
-"""Bonds of a particle during its impact: vertices of its surface are bonded to the facets under them while it rebounds."""
+"""Bonds of a particle during its impact: while it rebounds, vertices of its surface are bonded to the facets under them."""
 
 from dataclasses import dataclass
 
@@ -58,8 +58,8 @@ class ParticleBonds:
         self.bond.forces_on(xp, f_point, x, f_node, depth, len(x))
 
     def stable_dt(self, softness: float, mass: Floats) -> float:
-        """Stable time step (s) of the springs between points and nodes. softness: inverse mass of a point, 1/kg; mass (N,) kg: of
-        the nodes."""
+        """Stable time step (s) of the springs between points and nodes. softness: inverse mass of a point, 1/kg; mass (N,) kg: mass
+        of the nodes."""
         sums = self.bond.row_sums()
         point = float(np.bincount(self.bond.nodes, sums[:, 0]).max(initial=0.0))
         node = np.bincount(self.bond.triangles.ravel(), sums[:, 1:].ravel(), len(mass)) / mass
@@ -78,5 +78,5 @@ class ParticleBonds:
         return float(self.bond.resistance.sum()) if whole >= FEWEST else 0.0
 
     def gives_way(self, energy: float) -> bool:
-        """Whether `energy` (J) is at least SECURE times the energy that all springs can absorb."""
+        """Whether the bonds may break: `energy` (J) is at least SECURE times the energy that all springs can absorb."""
         return SECURE * float(self.bond.resistance.sum()) <= energy

@@ -163,7 +163,7 @@ def _facing(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """For each point, the closest facet within `reach` m among those of `ids` that face the point.
 
-    points (n,3) m; outward (n,3): normals at the points; x (N,3) m; facets (k,3); cell m: size of the search grid. Returns the
+    points (n,3) m; outward (n,3): normals at the points; x (N,3) m; facets (k,3); cell (m): size of the search grid. Returns the
     facet (n,), -1 for none, the barycentric coordinates (n,3) of the closest point, and the gap (n,) m, negative inside.
     """
     ids = broad.facets_within(x, facets, ids, *broad.bounds(points - reach, points + reach))

@@ -1,6 +1,6 @@
 """Executors for many independent computations: processes of this machine, MPI ranks of an allocation, or Slurm jobs.
 
-Each is a `concurrent.futures.Executor`. The caller submits functions of a module with arguments that can be pickled.
+Each executor is a `concurrent.futures.Executor`. The caller submits functions of a module with arguments that can be pickled.
 """
 
 import contextlib
@@ -62,7 +62,7 @@ class _Processes(ProcessPoolExecutor):
     """Processes that receive no interrupt from the terminal, also while they start: the parent handles it."""
 
     def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
-        """Submit as the base class does. It starts processes, which inherit the mask of signals."""
+        """Submit a call as the base class does. This starts processes, which inherit the signal mask."""
         with without_interrupts():
             return super().submit(*arguments, **options)
 
@@ -96,7 +96,7 @@ def own_environment() -> dict[str, str]:
 
 
 def _mpi() -> Executor:
-    """The ranks of `mpiexec -n N python -m mpi4py.futures ...` (Rogowski et al. 2023, doi:10.1109/TPDS.2022.3225481)."""
+    """Executor on the ranks of `mpiexec -n N python -m mpi4py.futures ...` (Rogowski et al. 2023, doi:10.1109/TPDS.2022.3225481)."""
     from mpi4py import MPI
     from mpi4py.futures import MPIPoolExecutor
 
@@ -109,7 +109,8 @@ def _mpi() -> Executor:
 
 
 def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
-    """Pilot jobs (Babuji et al. 2019, doi:10.1145/3307681.3325400): each computes until no computation is left or its time is over."""
+    """Executor that uses pilot jobs of Slurm (Babuji et al. 2019, doi:10.1145/3307681.3325400). Each job computes until no
+    computation is left or its time limit is reached."""
     if shutil.which("sbatch") is None:
         raise PlacementError(
             "the executor slurm needs the command sbatch, which is not installed here: use a Slurm cluster, or another --executor"

@@ -22,7 +22,7 @@ S = TypeVar("S", bound="Sums")
 
 @runtime_checkable
 class Kept(Protocol):
-    """A part of a simulation that saves and restores its state by functions of its own."""
+    """A part of a simulation that has its own functions to save and restore its state."""
 
     def state(self) -> object:
         """The state of the part, for a checkpoint."""
@@ -104,7 +104,7 @@ def arrays_of(record: object) -> dict[str, np.ndarray]:
 
 
 def unfit(problem: str) -> CheckpointError:
-    """The error of a checkpoint that does not fit its run."""
+    """The error for a checkpoint that does not fit its run."""
     return CheckpointError(f"the checkpoint does not fit: {problem}; start again with coldspray run --force")
 
 

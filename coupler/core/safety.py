@@ -1,8 +1,8 @@
-"""Safety factors of all explicit time steps: step over stability limit, with reasons.
+"""Safety factors of all explicit time steps, with reasons. A factor is the time step divided by the stability limit.
 
-Central differences are stable up to 2 / omega of the highest frequency omega, explicit conduction up to 2 / (fastest rate). A limit
-from power iteration is compared with the safe bound of single cells or elements: the step is between this bound and LONGEST times
-this bound.
+Central differences are stable up to 2 / omega, where omega is the highest frequency; explicit conduction is stable up to 2 / (fastest
+rate). A limit from power iteration is compared with the safe bound of single cells or elements: the step is between this bound and
+LONGEST times this bound.
 """
 
 # Points by their highest frequency (`particle.frequency`): the iteration is accurate to 2 %. The rest is for stress, viscosity and

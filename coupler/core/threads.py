@@ -4,8 +4,8 @@
 threads. `share` divides a loop in Python over kernels into ranges. A free thread does the next range. A kernel writes only the rows of
 its range, so that results do not depend on the number of threads.
 
-Why not numba's `prange`: with OpenMP a loop waits for cores that other processes use (up to 19 times as long), with numba's own queue
-each loop takes 40 us more, and TBB, which is as fast as this module, needs one more package.
+numba's `prange` is not used: with OpenMP a loop waits for cores that other processes use (up to 19 times as long), with numba's own
+queue each loop takes 40 us more, and TBB, which is as fast as this module, needs one more package.
 """
 
 from collections.abc import Callable, Iterator
@@ -33,8 +33,8 @@ def _counters() -> Ints:
 
 
 class Team:
-    """`count` threads in addition to the calling one. Each runs all submitted tasks in order; a task that others have finished returns
-    at once."""
+    """The calling thread and `count` more threads. Each thread runs all submitted tasks in order. A task whose work is already done
+    by other threads returns at once."""
 
     def __init__(self, count: int):
         self.count = count

@@ -27,7 +27,7 @@ _POLL = 0.5  # s between two checks for a signal
 
 @dataclass(frozen=True)
 class Done:
-    """A task that has ended. cut: its sub-domain; result: its error if it failed."""
+    """A finished task. cut: its sub-domain; result: its result, or its error if it failed."""
 
     task: Task
     cut: Cut
@@ -35,7 +35,7 @@ class Done:
 
     @property
     def of(self) -> TaskResult:
-        """The result. Raises the error of a task that failed."""
+        """The result of the task. Raises the error of a task that failed."""
         if isinstance(self.result, ColdsprayError):
             raise self.result
         return self.result
@@ -56,7 +56,7 @@ def tasks(
     plan: Plan, batch: Batch, whole: Bodies, folder: Path, about: Mapping[str, str]
 ) -> Iterator[tuple[Task, Cut]]:
     """The impacts of a batch with their sub-domains, up to the first whose sub-domain shares a node with an earlier one. whole: the
-    full domain; folder: of the run; about: as in `Task`. A generator: each sub-domain is made when it is requested."""
+    full domain; folder: folder of the run; about: as in `Task`. A generator: each sub-domain is made when it is requested."""
     taken = np.zeros(len(whole.target.nodes.x), bool)
     numbers = range(batch.first, batch.stop)
     places = points_of_impact(whole, [plan.impacts[i].offset for i in numbers])
@@ -72,7 +72,7 @@ def tasks(
 def side_by_side(
     pool: Executor, found: Iterator[tuple[Task, Cut]], folder: Path, options: RunOptions, meanwhile: Callable[[], None]
 ) -> list[Done]:
-    """Compute the tasks `found` in processes.
+    """Compute the tasks `found` in parallel processes.
 
     Each task starts as soon as its sub-domain is made. The running tasks share the threads of the run; when tasks end, the file SPARE
     gives their threads to the others. The file STOP stops all tasks. meanwhile(): called once while the tasks run. Raises Stopped after

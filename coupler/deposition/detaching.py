@@ -23,8 +23,8 @@ def release_time(plan: Plan) -> float:
 def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tuple[Bodies, list[Values]]:
     """The bodies without the splats that are not attached, not in equilibrium; and a record of each removed splat.
 
-    number: of the last impact; stage: in which the bonds broke. Keys of a record: splat and by_impact (numbers of impacts), stage,
-    bodies and mass_kg (removed), velocity_z_m_s, reason.
+    number: number of the last impact; stage: in which the bonds broke. Keys of a record: splat and by_impact (numbers of impacts),
+    stage, bodies and mass_kg (removed), velocity_z_m_s, reason.
     """
     if plan.adhesion.kind == "none" or (attached := bodies.attached()).all():
         return bodies, []

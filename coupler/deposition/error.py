@@ -1,4 +1,4 @@
-"""The error of a run from coarser runs: the same scene with fewer points, computed at the same time or afterwards."""
+"""The error of the results of a run, from coarser runs: the same scene with fewer points, computed at the same time or afterwards."""
 
 import contextlib
 import json
@@ -31,7 +31,8 @@ Compute = Callable[[Scene, Path, float, Mapping[str, float], int], None]
 
 @dataclass
 class Companions:
-    """The coarser runs of a run. plan, folder, numerics: of the run; compute: function that computes a scene in any process."""
+    """The coarser runs of a run, from which its error follows. plan, folder, numerics: plan, folder and numerics of the run; compute:
+    function that computes a scene in any process."""
 
     plan: Plan
     folder: Path
@@ -40,7 +41,8 @@ class Companions:
     _process: BaseProcess | None = None
 
     def begin(self, on_another_core: bool) -> None:
-        """Remove the coarser runs of an earlier run. on_another_core: start a process that computes the coarser runs."""
+        """Remove coarser runs that are left from an earlier run. on_another_core: whether to start a process that computes the
+        coarser runs."""
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
@@ -55,7 +57,7 @@ class Companions:
             self._process = process
 
     def end(self) -> None:
-        """End the process of the coarser runs, finished or not."""
+        """End the process that computes the coarser runs, whether it has finished or not."""
         if self._process is not None:
             self._process.terminate()
             self._process.join()
@@ -73,7 +75,7 @@ class Companions:
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
     def all(self, threads: int) -> dict[int, Summary | str]:
-        """Number of points -> summary of the coarser run, or the reason why it failed."""
+        """The summary of each coarser run, or the reason why it failed, by its number of points."""
         scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name) if self.plan.companions else None
         return {n: self._one(scene, n, threads) for n in self.plan.companions if scene is not None}
 
@@ -121,8 +123,9 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
-    """Measure -> {"half_width": error, SI; "order": of the extrapolation; "coarser": values of the coarser runs}. levels: the
-    measures of an impact at each resolution, the finest first. Measures without values at two resolutions are left out."""
+    """The error of each measure: {"half_width": error, SI; "order": order of the extrapolation; "coarser": values of the coarser
+    runs}. levels: the measures of an impact at each resolution, the finest first. Measures without values at two resolutions are left
+    out."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

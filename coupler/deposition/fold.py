@@ -1,4 +1,4 @@
-"""The deposition: each batch of impacts of a plan turns a target into one with its splats, and gives a record of each impact."""
+"""The deposition: each batch of impacts adds its splats to the target, and gives a record of each impact."""
 
 import hashlib
 import time as clock
@@ -37,8 +37,8 @@ from .task import Task, TaskFiles, TaskState, attempt
 
 @dataclass(frozen=True)
 class DepositionState:
-    """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: of the finished impacts;
-    wall: wall time so far, s; within: state of an impact on the full domain that has started since, None without one."""
+    """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: of the finished
+    impacts; wall: wall time so far, s; within: state of an impact on the full domain that is not finished; None if there is none."""
 
     bodies: BodiesState
     store: StoreState
@@ -49,7 +49,7 @@ class DepositionState:
 
 
 class Deposition:
-    """The sequence of batches, on the rank that has the target.
+    """The deposition of all particles of a plan, batch by batch. It runs on the MPI rank that has the target.
 
     plan: without skipped impacts; pool: executor for simultaneous impacts, None if all are computed in this process; records: of the
     finished impacts; joins: reports of the joining of their splats; closing: report of the closing stage.
@@ -93,8 +93,9 @@ class Deposition:
         return None if self.undecided else self.plan.batch_from(len(self.records))
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
-        """Compute the impacts of a batch, each on its own sub-domain of the target. Returns them up to the first undecided one. If an
-        impact fails it is removed from the plan and the result is empty; raises its error if the run may not skip impacts."""
+        """Compute the impacts of a batch, each on its own sub-domain of the target. Returns the results up to the first undecided
+        impact. If an impact fails, it is removed from the plan and the result is empty. If the run may not skip impacts, the error of
+        the failed impact is raised."""
         done = self._done(batch, target)
         for k, each in enumerate(done):
             if (error := self._failure(each)) is not None:
@@ -107,7 +108,7 @@ class Deposition:
         return done
 
     def _done(self, batch: Batch, target: Bodies) -> list[Done]:
-        """`compute` without the check of its results."""
+        """The results of `compute` before failed impacts are handled."""
         found, folder = tasks(self.plan, batch, target, self.folder, self._about), self.folder / TASKS
         if batch.is_whole:  # the impact writes into the files of the run
             self._catch_up(batch, target)
@@ -123,7 +124,7 @@ class Deposition:
         return [Done(task, cut, attempt(task, self.options)) for task, cut in found]
 
     def rest(self, batch: Batch, target: Bodies, done: Sequence[Done]) -> Bodies:
-        """The target at rest after a batch and the pause that follows, with all splats that stay. done: result of `compute`."""
+        """The target at rest, with all splats that stay, after a batch and the pause that follows it. done: result of `compute`."""
         if not done:
             return target
         first, computed = len(self.records), clock.perf_counter()
@@ -152,7 +153,8 @@ class Deposition:
         return whole
 
     def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
-        """Store the records of a batch. before, after: the bodies; is_written: the batch has written into the files of the run."""
+        """Store the records of a batch. before, after: the bodies before and after the batch; is_written: whether the batch has
+        written into the files of the run."""
         replay, elements = BatchReplay(before, after), len(before.target.mesh.conn)
         for each in done:
             replay.add(each.task, each.cut, each.of, simulated(self.records))
@@ -240,8 +242,8 @@ class Deposition:
             ) from error
 
     def _catch_up(self, batch: Batch, target: Bodies) -> None:
-        """Write the files of the last batch, and a checkpoint of the target after it, while workers compute the next batch. Before
-        that, a resumed run continues from the results in the folders of the tasks."""
+        """Write the files of the last batch and a checkpoint of the target, while worker processes compute the next batch. A resumed
+        run first continues from the results in the folders of its tasks."""
         self.write_files()
         if self._resumed is None and (self.records or not batch.is_whole):
             self._save(target, self.store.state())

@@ -1,4 +1,4 @@
-"""After an impact: the particle becomes a splat of elements, joins the target, and all bodies come to rest."""
+"""Work after an impact: the particle is converted to a splat of finite elements, joins the target, and all bodies come to rest."""
 
 import time as clock
 from collections.abc import Sequence
@@ -90,7 +90,7 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
 
 
 def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tuple[Bodies, Values]:
-    """The bodies with the splat of impact i, not in equilibrium, and a report."""
+    """The bodies with the splat of impact i, before equilibrium, and a report."""
     domains, bonds = outcome.domains, outcome.bonds
     cloud, particle = cloud_of(domains), domains.particle
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
@@ -122,8 +122,8 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
     not attached are removed. places: impact points, m; kinetic_0: kinetic energy of all impacts of the batch, J; report: of the last
     joining, to which entries are added.
 
-    Equilibrium is computed up to REST from the impact points, and after a pause wherever temperatures have changed. Later impacts
-    or the closing stage relax the small rest.
+    Equilibrium is computed up to the distance REST from the impact points, and after a pause also wherever temperatures have changed.
+    The small imbalance farther away is relaxed after later impacts or in the closing stage.
     """
     radius = min(REST * batch.cut, float(np.linalg.norm(np.ptp(bodies.target.nodes.x, axis=0))))
     numbered = bodies.renumbered(*places, shell=radius / SHELLS)
@@ -140,7 +140,8 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 
 def cloud_of(domains: Domains) -> Cloud:
-    """The points of an impact with their state and their surface, which includes cavities (`splat.cloud.Cloud`)."""
+    """The points of a particle at the end of an impact, with their state, and the surface of the particle with its cavities
+    (`splat.cloud.Cloud`)."""
     particle, surface, law = domains.particle, domains.whole_surface, domains.particle.law[0]
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),

@@ -1,8 +1,8 @@
-"""Measures against the growth of cost with the number of impacts: selective mass scaling, and a window.
+"""Two measures against the growth of the cost with the number of impacts: selective mass scaling, and a window around each impact.
 
-A few crushed elements of splats would determine the time step of all later impacts. Inertia is added to their deformation
-(`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact is not computed:
-it is in equilibrium and acts as an elastic body (`Target.set_window`).
+A few strongly deformed elements of splats would determine the time step of all later impacts. Inertia is added to their deformation
+(`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact is not
+computed: it is in equilibrium and acts as an elastic body (`Target.set_window`).
 """
 
 import math

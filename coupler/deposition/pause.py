@@ -174,8 +174,8 @@ def _contraction(metal: Material, T: float, ambient: float) -> float:
 
 
 def _contract(t: Target, strain: float) -> None:
-    """Contract all bodies and the fixed faces by the linear strain of the substrate in one step. Energies change such that
-    pressures stay constant, so that no element yields."""
+    """Contract all bodies and the fixed faces in one step by the linear strain of the substrate. Energies change such that pressures
+    stay constant, so that no element yields."""
     t.nodes.x[:] *= 1.0 + strain
     t.rest_scale *= 1.0 + strain
     energy = (
@@ -215,8 +215,8 @@ def _links(bodies: Bodies, size: float) -> list[Links]:
 
 
 def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:
-    """Heat transfer from the jet to all surfaces that are reachable from above. heat: coefficient W/(m2 K), temperature K; None: no
-    jet."""
+    """Heat transfer from the jet to all surfaces that are reachable from above. heat: heat transfer coefficient (W/(m2 K)) and gas
+    temperature (K); None if there is no jet."""
     if heat is None:
         return None
     t = bodies.target

@@ -15,9 +15,9 @@ from .task import Task, TaskResult
 
 @dataclass(frozen=True)
 class _Written:
-    """Files of a task, and their place in the full domain. folder, store: of the files; nodes, elements: indices of its sub-domain
-    in the full domain; changed: indices of the nodes that it can move; more: number of nodes and elements of its splat; before:
-    simulated time of the earlier impacts, s."""
+    """Files of a task, and the place of its sub-domain in the full domain. folder, store: folder and store of the files; nodes,
+    elements: indices of the sub-domain in the full domain; changed: indices of the nodes that the impact can move; more: number of
+    nodes and elements of its splat; before: simulated time of the earlier impacts, s."""
 
     folder: Path
     store: StoreState
@@ -74,7 +74,7 @@ class BatchReplay:
                 store.write(domain, part.before + fields.time, points, cells, at_points, inside)
 
     def _go_on(self, part: _Written) -> None:
-        """Update the full domain to the state after an impact: its sub-domain has changed, and its splat is added."""
+        """Update the full domain to the state after an impact: replace its sub-domain, and add its splat."""
         n, m = len(self._points), len(self._cells)
         changed = np.zeros(n, bool)
         changed[part.changed] = True

@@ -1,4 +1,4 @@
-"""From a scene to a result: run and resume."""
+"""The two main functions: `run` computes a scene, `resume` continues an unfinished run. Both return the result."""
 
 import math
 import signal
@@ -87,7 +87,7 @@ def run(
 
 
 def _alone(scene: Scene, folder: Path, contact_stiffness: float, numerics: Mapping[str, float], threads: int) -> None:
-    """Compute a scene in this process; only its summary is written."""
+    """Compute a scene in this process, and write only its summary."""
     decided, quiet = plan(scene, contact_stiffness), Progress(quiet=True)
     options = RunOptions(quiet, folder / "log.lammps", threads=threads, numerics=numerics, checkpoint_every=math.inf)
     create = partial(WithoutFields.create, folder, scene.to_toml(), force=True, plan_json=plan_text(decided))
@@ -111,9 +111,10 @@ def resume(
     """Continue the unfinished run in a folder from its last complete checkpoint, or from its start without a checkpoint.
 
     The number of ranks may change. A finished run is returned unchanged. An undecided run continues its last impact until `until` (s,
-    time of this impact), by default for the same time again. A run that met its end criterion without a verdict (`Result.at_own_end`)
-    continues only with `until`. error: measure the error if the run was started with it. Other arguments and errors as for `run`; also
-    raises CheckpointError for a checkpoint of another version or scene, or if the impact is already computed up to `until`.
+    time of this impact); by default the time limit is doubled. A run that met its end criterion without a verdict
+    (`Result.at_own_end`) continues only with `until`. error: measure the error if the run was started with it. Other arguments and
+    errors as for `run`; also raises CheckpointError for a checkpoint of another version or scene, or if the impact is already
+    computed up to `until`.
     """
     folder = Path(out)
     result = Result(folder)

@@ -43,8 +43,8 @@ def summary(
 ) -> Summary:
     """The summary of a run.
 
-    records: of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None if it has left
-    (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
+    records: of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None for a splat that
+    has left (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
     """
     detached = _detached([*joins, closing or {}])
     fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}
@@ -99,8 +99,8 @@ def summary(
 
 
 def _efficiency(impacts: Sequence[Values]) -> Values:
-    """Deposition efficiency: mass that stayed over the mass of all particles. With undecided particles: None, and the range without and
-    with their mass."""
+    """Deposition efficiency: mass that stayed divided by the mass of all particles. If particles are undecided it is None; also
+    returned is the range without and with their mass."""
     least, most = efficiency_range(impacts)
     if most - least < 1e-12:
         return {"deposition_efficiency": least}
@@ -126,7 +126,8 @@ def unsettled(report: Values) -> list[str]:
 
 
 def _detached(reports: Sequence[Values]) -> dict[int, float]:
-    """Number of a splat -> mass (kg) that has come off. reports: of the joining of splats and of the closing stage."""
+    """Mass (kg) that has come off from each splat, by its number. reports: reports of the joining of splats and of the closing
+    stage."""
     mass: dict[int, float] = {}
     for record in (record for report in reports for record in report.get("detached", [])):
         mass[record["splat"]] = mass.get(record["splat"], 0.0) + record["mass_kg"]

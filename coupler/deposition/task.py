@@ -28,7 +28,7 @@ SPARE = "spare"  # number of threads for each task, greater when cores are idle
 
 @dataclass(frozen=True)
 class Task:
-    """Impact i of a plan on a sub-domain. bodies: of the sub-domain, numbered outwards from the impact point `place`, m.
+    """Impact i of a plan on a sub-domain. bodies: bodies of the sub-domain, numbered outwards from the impact point `place`, m.
 
     before: simulated time of the earlier impacts in its files, s; written: state of these files at the start, None for new files;
     folder: for its own files; about: data that identify its checkpoints (`files.checkpoint`).
@@ -46,8 +46,8 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """Result of a task. bodies: with the splat, at rest. After an undecided impact, or a last one without a closing stage: the
-    bodies at the end of the impact, and `joined` is empty. record: of the impact; prepared, joined: reports of
+    """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without a closing stage:
+    the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined: reports of
     `mass_scaling.prepare` and `join`; store: state of the files."""
 
     bodies: BodiesState
@@ -68,8 +68,8 @@ class TaskState:
 
 @dataclass(frozen=True)
 class TaskFiles:
-    """Output files of a task. kept: its last checkpoint, None without one; store: result files, set back to the time of `kept`; save:
-    writes a checkpoint."""
+    """Output files of a task. kept: its last checkpoint, None if there is none; store: result files, set back to the time of `kept`;
+    save: function that writes a checkpoint."""
 
     store: Store
     kept: TaskState | None
@@ -87,7 +87,8 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result in its files; an undecided impact continues. Raises as `run_impact` and `join`."""
+    """Compute a task, or return the result that its files hold; an undecided impact continues. Raises the errors of `run_impact` and
+    `join`."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
@@ -132,7 +133,7 @@ def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> 
 def run_alone(
     task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int
 ) -> TaskResult | ColdsprayError:
-    """`attempt` in a process of an executor. numerics, every (s between checkpoints), until, threads: as in `RunOptions`."""
+    """Call `attempt` in a process of an executor. numerics, every (s between checkpoints), until, threads: as in `RunOptions`."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
     def check(_: object) -> None:

@@ -17,9 +17,9 @@ def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
 def dashpots(
     mesh: TetMesh, laws: np.ndarray, law_of: np.ndarray, names: tuple[str, ...], fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Absorbing boundary of Lysmer & Kuhlemeyer (1969): nodes (k,) of facet sets that are not fixed, and the damping matrix (k,3,3)
-    kg/s of each: the sum of rho (c_p n n^T + c_s (1 - n n^T)) area / 3 over its facets. laws: LAW records; law_of (m,): law of each
-    element."""
+    """Absorbing boundary of Lysmer & Kuhlemeyer (1969) at facet sets: the nodes (k,) that are not fixed, and the damping matrix
+    (k,3,3) kg/s of each. The matrix is the sum of rho (c_p n n^T + c_s (1 - n n^T)) area / 3 over the facets of the node. laws: LAW
+    records; law_of (m,): law of each element."""
     nodes = np.setdiff1d(nodes_of(mesh, names), fixed)
     matrix = np.zeros((len(mesh.points), 3, 3))
     for name in names:
@@ -57,7 +57,8 @@ def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndar
 def add_matrices(
     faces: np.ndarray, area: np.ndarray, n: np.ndarray, along: np.ndarray, across: np.ndarray, matrix: np.ndarray
 ) -> None:
-    """Add (along n n^T + across (1 - n n^T)) area / 3 of each of the faces (k,3) to the matrices (N,3,3) of its three nodes."""
+    """Add the matrix (along n n^T + across (1 - n n^T)) area / 3 of each face (k,3) to the matrices (N,3,3) of its three nodes. n:
+    normals of the faces; along, across: coefficients."""
     nn = n[:, :, None] * n[:, None, :]
     share = (area / 3.0)[:, None, None] * (along[:, None, None] * nn + across[:, None, None] * (np.eye(3) - nn))
     for i in range(3):

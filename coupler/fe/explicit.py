@@ -41,9 +41,9 @@ class TargetState:
     """State from which a target continues with the same numbers; the mesh is not part of it.
 
     force_suffix_sum (n+1,3) N: row i is the sum of the nodal forces of nodes i and above when they became inactive; drag (d,3) N:
-    forces of the dashpots; support (3,) N: external force; dt_last s; reach m: distance of the front of active elements; horizon m:
-    radius of the window; least_mass kg: see `weigh_surface`; active_nodes, active_elements: numbers of computed ones; edge: of a
-    window with an elastic edge; rest_scale: contraction of the half-space round the target.
+    forces of the dashpots; support (3,) N: external force; dt_last (s); reach (m): distance of the front of active elements; horizon
+    (m): radius of the window; least_mass (kg): see `weigh_surface`; active_nodes, active_elements: numbers of computed nodes and
+    elements; edge: elastic edge of the window; rest_scale: contraction of the half-space around the target.
     """
 
     nodes: NodeState
@@ -71,7 +71,7 @@ class Target(TargetState):
     nodes, elements: state (`fe.state`); kernels change its arrays in place. f_ext (n,3) N: external forces. Nodes and elements are
     numbered outwards from the nearest point of impact. Only the first `active_nodes` and `active_elements`, those that a wave can
     have reached, are computed, and none beyond the `horizon` (m, see `set_window`) or the `limit` (m, see `activate_all`). inertia:
-    of scaled elements (`fe.inertia`). balance: sums of energies.
+    inertia of scaled elements (`fe.inertia`). balance: sums of energies.
 
     Heat from plastic work, `warm` or conduction adds to the energy of the nodes and so, by Gamma0, to their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. There is no expansion with a linear equation
@@ -90,9 +90,8 @@ class Target(TargetState):
     ):  # fmt: skip
         """laws: LAW records, one per material; law_of (m,): law of each element (default: the first); temperature: K, one value or
         (m,); fixed, absorbing: names of facet sets (top, bottom, sides); track_wave: compute only elements that a wave can have
-        reached; conduction: heat flows between elements (`fe.heat`). Raises SolverError where elements of different laws share a
-        node.
-        """
+        reached; conduction: heat flows between elements (`fe.heat`). Raises SolverError if elements of different laws share a
+        node."""
         n, m = len(mesh.points), len(mesh.conn)
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
@@ -163,8 +162,8 @@ class Target(TargetState):
         return float(self.mass.sum()) - before
 
     def set_window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
-        """Exclude all elements farther than `radius` m from the point of impact (`fe.window`); they must be at rest, in
-        equilibrium. A window stays for the life of a target. Returns the number of elements within.
+        """Exclude all elements farther than `radius` m from the point of impact (`fe.window`). The excluded elements must be at rest
+        and in equilibrium. A target keeps its window. Returns the number of elements inside.
 
         origin (3,) m: point of impact, for an elastic edge; None: the edge is fixed. rest (k,3) m: rest positions of the elastic
         edge, by default the present ones.
@@ -203,7 +202,7 @@ class Target(TargetState):
         return self._active_counts(np.inf)[0]
 
     def active_after(self, time: float) -> int:
-        """Number of active nodes, those that the front has reached, after another `time` s."""
+        """Number of active nodes after another `time` s: those that the wave front has reached."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
@@ -214,8 +213,8 @@ class Target(TargetState):
     def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> float:
         """Largest stable time step, s, with safety factors and damping.
 
-        enough s: if the safe bound of the elements is shorter than this, the sharper limit of the whole mesh is computed
-        (`fe.stability`); ahead s: time for which the step is kept: elements that become active in this time count too; springs:
+        enough (s): if the safe bound of the elements is shorter than this, the sharper limit of the whole mesh is computed
+        (`fe.stability`); ahead (s): time for which the step is kept: elements that become active in this time count too; springs:
         between nodes.
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
@@ -238,9 +237,8 @@ class Target(TargetState):
         return dt / (1.0 + LINEAR_VISCOSITY)
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:
-        """Move to n+1 and compute stress and internal forces there; velocities are at n+1/2. dt s; is_conducting: heat flows
-        between elements. Raises SolverError when a tetrahedron inverts.
-        """
+        """Move to n+1 and compute stress and internal forces there; velocities are at n+1/2. dt (s); is_conducting: heat flows
+        between elements. Raises SolverError when a tetrahedron inverts."""
         half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
         self.balance.impulse += half_step * self.support
         self._activate(dt)
@@ -315,7 +313,8 @@ class Target(TargetState):
         return self.balance.impulse + 0.5 * self.dt_last * self.support
 
     def restore(self, state: TargetState) -> None:
-        """Restore the state (`core.records.copied`) of a target of the same mesh. Raises CheckpointError where it does not fit."""
+        """Restore the state (`core.records.copied`) of a target of the same mesh. Raises CheckpointError if the state does not fit
+        the mesh."""
         n, m = len(self.nodes.x), len(self.mesh.conn)
         if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
             raise unfit("the target has another number of nodes or elements")
@@ -383,7 +382,8 @@ class Target(TargetState):
         return self.mass @ self.velocity()
 
     def elastic(self) -> float:
-        """Recoverable energy in J: of deviators, of the volume without heat, and of the springs of half-space and edge."""
+        """Recoverable energy in J: of the stress deviators, of the volume change without heat, and of the springs of the half-space
+        and of the window's edge."""
         m, e = len(self.mesh.conn), self.elements  # inactive elements may be under stress
         shear = k.elastic_shear_energy(0, m, self.mesh.V0, self.metals, e.volume, e.s)
         u = self.nodes.x[self.spring_nodes] - self.spring_rest

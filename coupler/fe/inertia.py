@@ -23,8 +23,9 @@ MOST = 150  # elements: the matrix of their nodes is inverted in each chunk of s
 
 @dataclass(eq=False)
 class InertiaState:
-    """State of an `ElementInertia`. last (k,): nodes of the scaled elements in the last step; taken (k,3) N: reduction of their
-    forces in it; most kg: limit of the added mass, the sum of ((T / t_e)^2 - 1) m_e; 0 for no scaling."""
+    """State of an `ElementInertia`. last (k,): nodes of the scaled elements in the last step; taken (k,3) N: reduction of the forces
+    on these nodes in the last step; most (kg): limit of the added mass, which is the sum of ((T / t_e)^2 - 1) m_e; 0 means no
+    scaling."""
 
     most: float = 0.0
     last: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")] = field(
@@ -48,8 +49,8 @@ class ElementInertia(InertiaState):
         self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are free
 
     def choose(self, t: FiniteElements, safe: np.ndarray, step: float) -> None:
-        """Choose elements so that all are stable with `step` s, as far as `most` allows. safe (e,) s: own steps of the first e
-        elements; the steps of chosen elements are increased."""
+        """Choose elements so that all elements are stable with `step` s, as far as the limit `most` allows. safe (e,) s: stable steps
+        of the first e elements; the steps of chosen elements are increased."""
         self.elements = self.elements[:0]
         if self.most > 0.0:
             short = np.flatnonzero(safe < step)

@@ -38,7 +38,7 @@ class TetMesh:
 
 
 class FiniteElements(Protocol):
-    """Attributes of `fe.explicit.Target` that its parts use; described there."""
+    """Attributes of `fe.explicit.Target` that its parts use. They are described there."""
 
     mesh: TetMesh
     laws: np.ndarray
@@ -64,7 +64,7 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
 def prepare_ordered(
     points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> tuple[TetMesh, np.ndarray, np.ndarray]:
-    """`prepare`. Also returns the number of each node (n,) among `points`, and of each element (m,) among `tets`."""
+    """As `prepare`. Returns also the number of each node (n,) among `points`, and of each element (m,) among `tets`."""
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
     order = np.argsort(distance, kind="stable")
     rank = np.argsort(order)

@@ -38,8 +38,8 @@ class Active(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Arrays (n,3): x m, v m/s, internal forces f, external forces f_ext, sum of all forces total, N. Arrays (n,): inv_mass 1/kg,
-    volume ratio J, p Pa, energy J per reference m3."""
+    """Arrays (n,3): x (m), v (m/s), internal forces f (N), external forces f_ext (N), sum of all forces `total` (N). Arrays (n,):
+    inv_mass (1/kg), volume ratio J, pressure p (Pa), energy (J per reference m3)."""
 
     x: Floats
     v: Floats
@@ -58,8 +58,8 @@ class Nodes(NamedTuple):
 
 
 class Elements(NamedTuple):
-    """Arrays (m,): volume m3, sigma_y Pa, eps_p, rate 1/s, T K, heat J. s (m,6) Pa: Cauchy deviator; fe (m,4,3) N: forces on the
-    corners; eps_gradient (m,3) 1/m."""
+    """Arrays (m,): volume (m3), sigma_y (Pa), eps_p, rate (1/s), T (K), heat (J). s (m,6) Pa: Cauchy stress deviator; fe (m,4,3) N:
+    forces on the corners; eps_gradient (m,3) 1/m."""
 
     volume: Floats
     s: Floats

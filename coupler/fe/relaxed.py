@@ -13,11 +13,11 @@ class Relaxation:
     fixed nodes and time steps of the target itself do not change.
 
     fixed (k,): fixed nodes of the target and nodes at the edge of the part; free (n,) bool: all others; mass (n,) kg, inv_mass (n,)
-    1/kg: of the nodes, inv_mass is 0 for fixed nodes; dt s: time step, see `weigh`.
+    1/kg: of the nodes, inv_mass is 0 for fixed nodes; dt (s): time step, see `weigh`.
     """
 
     def __init__(self, target: Target, radius: float, dt: float):
-        """radius m: distance from the start of the numbering up to which nodes can move. Pending heat of elements beyond it becomes
+        """radius (m): distance from the start of the numbering up to which nodes can move. Pending heat of elements beyond it becomes
         pressure in a step of dt s."""
         t = self.target = target
         t.activate_all()

@@ -11,8 +11,9 @@ from ..physics.metal import MetalState
 
 @dataclass(frozen=True)
 class NodeState:
-    """State of n nodes. x m; v m/s: half a step before x; f, f_old N: internal forces of this and the last step; total N: sum of all
-    forces; J: volume ratio; p Pa; energy J per reference m3; node_number: in the full domain of a sub-domain, -1 for new nodes."""
+    """State of n nodes. x (m); v (m/s): velocity half a step before x; f, f_old (N): internal forces of this and of the last step;
+    total (N): sum of all forces; J: volume ratio; p (Pa); energy (J per reference m3); node_number: number in the full domain, for a
+    node of a sub-domain, -1 for new nodes."""
 
     x: Annotated[np.ndarray, Rows(3)]
     v: Annotated[np.ndarray, Rows(3)]
@@ -27,9 +28,9 @@ class NodeState:
 
 @dataclass(frozen=True)
 class ElementState(MetalState):
-    """State of m elements. s Pa: Cauchy deviator, Voigt order xx yy zz yz xz xy; rate 1/s: of eps_p; heat J: for the nodes in the
-    next step; volume m3; sigma_y Pa; fe N: forces on the corners; element_number: as node_number; thermal_stress Pa, Voigt: part of
-    the stress caused by changes of temperature at rest."""
+    """State of m elements. s (Pa): Cauchy stress deviator, Voigt order xx yy zz yz xz xy; rate (1/s): rate of eps_p; heat (J): heat
+    that is added to the nodes in the next step; volume (m3); sigma_y (Pa); fe (N): forces on the corners; element_number: as
+    node_number; thermal_stress (Pa, Voigt): part of the stress caused by changes of temperature at rest."""
 
     s: Annotated[np.ndarray, Rows(6)]
     rate: Annotated[np.ndarray, Rows()]
@@ -43,9 +44,9 @@ class ElementState(MetalState):
 
 @dataclass
 class Balance(Sums):
-    """Energy balance of a target since its start, J. plastic: plastic work; numerical: work of the bulk viscosity and of the
-    inertia of scaled elements; heat: part of the heat that makes pressure; internal_work; absorbed: energy absorbed at boundaries.
-    impulse (3,) N s: external impulse; time s."""
+    """Energy balance of a target since its start, J. plastic: plastic work; numerical: work of the bulk viscosity and of the inertia
+    of scaled elements; heat: part of the heat that makes pressure; internal_work; absorbed: energy absorbed at boundaries. impulse
+    (3,) N s: external impulse; time s."""
 
     plastic: float = 0.0
     numerical: float = 0.0

@@ -68,7 +68,7 @@ class Edge(EdgeState):
         self.static = forces[self.nodes]
 
     def pull(self, x: np.ndarray) -> np.ndarray:
-        """Forces (k,3) N of the springs. x (N,3) m: positions of all nodes."""
+        """Forces (k,3) N of the springs at the edge. x (N,3) m: positions of all nodes."""
         return -np.einsum("aij,aj->ai", self.stiffness, x[self.nodes] - self.rest)
 
     def energy(self, x: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""The target of a run: substrate and finished splats in one finite-element domain, with contact and bonds between them."""
+"""The target of a run: substrate and finished splats in one finite-element domain, with contact and bonds between these bodies."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -31,8 +31,8 @@ FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 @dataclass(frozen=True)
 class BodiesState:
-    """State of substrate and splats, with bonds and contact between them. placed (n,3) m, body (m,), impact, buried (b,): as in
-    `Bodies`."""
+    """State of substrate and splats, with the bonds and the contact between them. placed (n,3) m, body (m,), impact, buried (b,): as
+    in `Bodies`."""
 
     mesh: TetMesh
     target: TargetState
@@ -48,9 +48,9 @@ class BodiesState:
 @dataclass
 class Bodies:
     """Substrate (body 0) and splats. target: their common domain; body (m,): body of each element; fixed, absorbing: names of facet
-    sets; bond, contact: between bodies, None while there is only the substrate; buried: facets that nothing can reach; placed (n,3)
-    m: positions in which the contact was set up; impact (bodies,): number of the impact that made each body, from 1; 0 for the
-    substrate."""
+    sets; bond, contact: between bodies, None while there is only the substrate; buried: covered facets, which no other body can
+    touch; placed (n,3) m: positions in which the contact was set up; impact (bodies,): number of the impact that made each body, from
+    1; 0 for the substrate."""
 
     target: Target
     body: np.ndarray
@@ -66,7 +66,7 @@ class Bodies:
 
     @property
     def contact(self) -> BodyContact | None:
-        """The contact between the bodies. It is set up at its first use."""
+        """The contact between the bodies. It is made when it is first needed."""
         if self._contact is None and self._past is not None and self.placed is not None:
             self._contact = BodyContact(self.surfaces, self.placed, self.target.laws["K"].tolist(), self.friction)
             self._contact.continue_from(self._past)
@@ -160,7 +160,7 @@ class Bodies:
     def from_state(
         cls, state: BodiesState, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float, conduction: bool
     ) -> "Bodies":
-        """Bodies from a `state`. Raises CheckpointError where its parts do not fit each other."""
+        """Bodies from a `state`. Raises CheckpointError if its parts do not fit each other."""
         _check(state)
         T = state.target.elements.T
         target = Target(state.mesh, state.laws, T, state.body, fixed, absorbing, conduction=conduction)
@@ -226,9 +226,9 @@ class Bodies:
         self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: Point, ratio: float | None, impact: int,
         bonded: BondedPoints | None = None,
     ) -> "Bodies":  # fmt: skip
-        """These bodies and the finished splats of an impact, bonded by `adhesion`, numbered outwards from origin (m). size m: of
-        elements; ratio: velocity of the impact over the critical one; impact: its number; bonded: points bonded at the end of the
-        impact, if bonds act in the impact (`Adhesion.in_impact`).
+        """These bodies together with the finished splats of an impact, bonded by `adhesion`. Nodes are numbered outwards from origin
+        (m). size (m): size of the elements; ratio: impact velocity divided by critical velocity; impact: number of the impact;
+        bonded: points that are bonded at the end of the impact, if bonds act in the impact (`Adhesion.in_impact`).
 
         The surfaces of the splats are fitted to those under them, so that contact starts without force. The result is not yet in
         equilibrium (`equilibrium.settle`). Raises SolverError when a splat cannot be fitted.
@@ -266,8 +266,8 @@ class Bodies:
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
-        """The same bodies, numbered outwards from the nearest of the points `origins`, in shells of thickness `shell` (m, `merge`).
-        Only elements near these points are active."""
+        """The same bodies, numbered outwards from the nearest of the points `origins`, in shells of thickness `shell` (m; see
+        `merge`). Only elements near these points are active."""
         self.release_heat()
         domain, rank = merge([domain_now(self.target, self.body)], *origins, shell=shell)
         return self.with_domain(domain, rank, self.buried)
@@ -297,7 +297,8 @@ class Bodies:
         return np.asarray(part == part[0])
 
     def without(self, gone: np.ndarray, size: float) -> "Bodies":
-        """These bodies without the bodies of the mask `gone` (bodies,) and their contact and bonds. size m: of the splats' elements.
+        """These bodies without those of the mask `gone` (bodies,), and without the contact and the bonds of the removed bodies. size
+        (m): size of the splats' elements.
 
         The result is not in equilibrium. Facets that the removed bodies covered become reachable again.
         """
@@ -332,7 +333,7 @@ class Bodies:
         return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
-        """New bodies on a changed domain. Their energy balance continues from the one of these bodies."""
+        """New bodies on a changed domain. Their energy balance continues from that of these bodies."""
         target = Target(
             domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
@@ -347,7 +348,7 @@ class Bodies:
 
 
 def _check(state: BodiesState) -> None:
-    """Raise CheckpointError where lengths of arrays do not fit the mesh, or indices refer to rows that do not exist."""
+    """Raise CheckpointError if lengths of arrays do not fit the mesh, or indices refer to rows that do not exist."""
     mesh, n, m = state.mesh, len(state.mesh.points), len(state.mesh.conn)
     facets, placed = len(mesh.facets), [] if state.placed is None else [state.placed]
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
@@ -369,8 +370,8 @@ def _check(state: BodiesState) -> None:
 def _bonded(
     contact_pairs: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
 ) -> np.ndarray:
-    """Mask (n,) of the nodes of an interface that bond by the criterion of the scene. The larger strain and pressure of both sides
-    count."""
+    """Mask (n,) of the nodes of an interface that bond by the criterion of the scene. Of the strains and pressures on both sides, the
+    larger values count."""
     strain = np.maximum(*contact_pairs.behind(surfaces, target.elements.eps_p))
     pressure = np.maximum(*contact_pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
     return adhesion.bonded(len(contact_pairs.nodes), strain, pressure, ratio)
@@ -379,7 +380,7 @@ def _bonded(
 def _taken_over(
     bonded: BondedPoints, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
-    """Bonds at an interface (n rows) with the laws and the damage of the bonded points `row` (n,)."""
+    """Bonds at an interface (n rows) that continue the laws and the damage of the bonded points `row` (n,)."""
     (strength, shear_strength), (energy, shear_energy) = bonded.strength[row].T, bonded.energy[row].T
     law = {"strength": strength, "energy": energy, "shear_strength": shear_strength, "shear_energy": shear_energy}
     bond = Bond.between(where, surfaces, x, stiffness, **law)
@@ -390,8 +391,8 @@ def _taken_over(
 def _covered(
     contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, near: tuple[int, ...], tolerance: float
 ) -> np.ndarray:
-    """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`): all nodes of the facet and of
-    its neighbours are in contact.
+    """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`). A facet is in full contact if all
+    its nodes and all nodes of its neighbours are in contact.
 
     Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet and
     get a false penetration.

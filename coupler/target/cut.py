@@ -84,8 +84,8 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
 
 
 def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Mask (m,) of the chosen elements and of elements around pinched edges, which belong to more than two triangles of their
-    surface: a ray needs a surface with a unique inside."""
+    """Mask (m,) of the chosen elements and of the elements around pinched edges. A pinched edge belongs to more than two triangles of
+    the surface; ray casting needs a surface with a unique inside."""
     n = int(conn.max()) + 1
     for _ in range(ROUNDS):
         a, b = edges(boundary_faces(conn[chosen])[0]).astype(np.int64).T
@@ -99,8 +99,8 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
-    """The full domain with each computed part in place of its sub-domain. No node may be modified by two parts. New splats are
-    numbered after existing bodies, in the order of parts; existing numbers do not change."""
+    """The full domain in which each computed part replaces its sub-domain. No node may be modified by two parts. New splats are
+    numbered after the existing bodies, in the order of the parts. Existing numbers do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
     numbers: list[tuple[np.ndarray, np.ndarray]] = []  # of the nodes and facets of each part in the new full domain
@@ -160,8 +160,8 @@ def _energies(bond: Bond | None) -> np.ndarray:
 def _bonds(
     whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], stored: float, dissipated: float
 ) -> Bond | None:
-    """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with
-    the number (p,) of its nodes in the full domain, and the mask of the nodes that its impact can change; stored, dissipated J:
+    """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with the
+    number (p,) of its nodes in the full domain, and the mask of the nodes that its impact can change; stored, dissipated (J):
     energies of bonds in the impacts of the parts."""
     bonds = list[Bond]()
     if (bond := whole.bond) is not None:
@@ -188,7 +188,7 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
 
 
 def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
-    """Overwrite the rows `ids` of a record by the rows of `part` with these numbers. number: of each row of the part."""
+    """Overwrite the rows `ids` of a record by the rows of `part` with these numbers. number: number of each row of the part."""
     row = np.full(int(number.max()) + 1, -1)
     kept = np.flatnonzero(number >= 0)
     row[number[kept]] = kept

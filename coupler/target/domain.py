@@ -29,8 +29,8 @@ SPLAT = "splat"  # the facet set of body 1 has the name "splat1", and so on
 
 @dataclass(frozen=True)
 class BodyState(MetalState):
-    """A body that joins the target. points (n,3) m; tets (m,4); stress (m,6) Pa: Voigt xx yy zz yz xz xy; J (m,); state of the
-    metal (m,); velocity (n,3) m/s; energy (n,) J per reference m3; mass kg; law (1,): LAW record."""
+    """A body that joins the target. points (n,3) m; tets (m,4); stress (m,6) Pa: Voigt xx yy zz yz xz xy; J (m,); state of the metal
+    (m,); velocity (n,3) m/s; energy (n,) J per reference m3; mass (kg); law (1,): LAW record."""
 
     points: np.ndarray
     tets: np.ndarray
@@ -54,7 +54,7 @@ class Domain:
 
 
 def domain_of(body: BodyState, name: str) -> Domain:
-    """The domain of a joining body alone. name: of its facet set. Raises SolverError for an empty tetrahedron."""
+    """The domain of a single joining body. name: name of its facet set. Raises SolverError for an empty tetrahedron."""
     mesh, node, element = prepare_ordered(body.points, body.tets)
     J = body.J[element]
     V = mesh.V0
@@ -85,7 +85,7 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
     """One domain from several, numbered outwards from the nearest of the origins (m) in present positions; without origins the
     order of nodes and elements does not change. Bodies and laws follow in the order of the domains.
 
-    shell m: thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and numbers in a shell
+    shell (m): thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and numbers in a shell
     follow a space-filling curve: neighbours in space are neighbours in memory. Returns the domain, and the new number (n,) of each
     node in the order of `domains`.
     """
@@ -138,8 +138,8 @@ def new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
-    """The present state of a target as a domain that shares its arrays: use it before the next step. body (m,): body of each
-    element."""
+    """The present state of a target as a domain. It shares the arrays of the target, so that it must be used before the next step.
+    body (m,): body of each element."""
     return Domain(target.mesh, target.nodes, target.elements, body, target.laws)
 
 

@@ -36,9 +36,9 @@ RELEASE_TIME = 5e-9  # s after joining in which the released kinetic energy is m
 
 
 class Aim(NamedTuple):
-    """Accuracy of an equilibrium. left: largest remaining energy over the kinetic energy of the impacts before; ramp: number of
-    steps in which pending heat becomes pressure, as in slow cooling; quick: number of steps before the damping is limited to
-    SLOW_DAMPING."""
+    """Required accuracy of an equilibrium. left: largest remaining energy divided by the kinetic energy of the impacts before; ramp:
+    number of steps in which pending heat becomes pressure, as in slow cooling; quick: number of steps before the damping is limited
+    to SLOW_DAMPING."""
 
     left: float
     ramp: int
@@ -72,12 +72,12 @@ def settle(
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium. All elements are active during it; those beyond the wave front are inactive after it.
 
-    kinetic_0 J: kinetic energy of the impacts before, the scale of the remaining energy; release_time s: real motion after the
-    equilibrium, in which the released energy is measured; radius m: distance from the start of the numbering beyond which no node
+    kinetic_0 (J): kinetic energy of the impacts before, the scale of the remaining energy; release_time (s): real motion after the
+    equilibrium, in which the released energy is measured; radius (m): distance from the start of the numbering beyond which no node
     moves, unless it includes more than LOCAL of the elements; pending heat becomes pressure there too; known: from an earlier
-    equilibrium of these bodies, and for the next one; back: fixed nodes (k,), and displacements (k,3) m by which they are moved.
-    The equilibrium is not part of the simulated time, and no heat is conducted in it. Returns the number of steps and energies.
-    Raises SolverError when a tetrahedron inverts.
+    equilibrium of these bodies, and for the next one; back: fixed nodes (k,), and displacements (k,3) m by which they are moved. The
+    equilibrium is not part of the simulated time, and no heat is conducted in it. Returns the number of steps and energies. Raises
+    SolverError when a tetrahedron inverts.
     """
     t = bodies.target
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
@@ -95,7 +95,7 @@ def settle(
 
 
 def _stored(bodies: Bodies) -> float:
-    """Energy (J) without kinetic energy: its decrease is the energy dissipated by damping."""
+    """Energy (J) without kinetic energy. The damping dissipates the amount by which it decreases."""
     t = bodies.target
     return t.elastic() + t.balance.plastic + bodies.energy
 
@@ -103,7 +103,8 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Make steps of dynamic relaxation until the remaining energy is below aim.left, in J here. known, back: see `settle`."""
+    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which is an energy in J here. known, back: see
+    `settle`."""
     t = bodies.target
     m = t.active_elements
     heat = t.elements.heat[:m].copy()
@@ -149,8 +150,8 @@ def _relax(
 
 
 def _ramp(passed: float) -> float:
-    """Share of a change of temperature at the share `passed` of the ramp. The ramp starts and ends smoothly: with little damping a
-    sudden change makes stresses overshoot, and more metal yields."""
+    """Fraction of a temperature change that is applied when the fraction `passed` of the ramp is done. The ramp starts and ends
+    smoothly: with little damping a sudden change makes stresses overshoot, and more metal yields."""
     return passed * passed * (3.0 - 2.0 * passed)
 
 
@@ -182,7 +183,7 @@ def _moving(
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
-    """Run for `time` s with real masses and without damping. Returns the largest kinetic energy, J."""
+    """Continue for `time` s with real masses and without damping. Returns the largest kinetic energy, J."""
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
         _search(bodies, SEARCH_EVERY * t.stable_dt())

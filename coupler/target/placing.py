@@ -1,4 +1,4 @@
-"""Fit of a finished splat to the surfaces under it, and its removal from overlap with other bodies."""
+"""Fit of a finished splat to the surfaces under it, so that it does not overlap other bodies."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -24,11 +24,11 @@ LOST_VOLUME = 0.05  # largest relative change of a splat's volume after the corr
 
 
 def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -> BodyState:
-    """A splat whose nodes near the bodies of a target lie on their facets, and outside them, as far as the quality of its
-    tetrahedra allows.
+    """A splat whose nodes near the bodies of a target are moved onto the facets of these bodies, but only as far as the quality of
+    its tetrahedra allows.
 
-    body (m,): body of each element of the target; size m: of the splat's elements. Raises SolverError if the splat has no elements,
-    or its volume cannot be kept.
+    body (m,): body of each element of the target; size (m): size of the splat's elements. Raises SolverError if the splat has no
+    elements, or its volume cannot be kept.
     """
     n, new = len(target.nodes.x), int(body.max()) + 1
     if len(splat.tets) == 0:
@@ -85,9 +85,8 @@ def carried_along(tets: np.ndarray, given: np.ndarray) -> np.ndarray:
 
 
 def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
-    """Points (n,3) m with the original volume of a splat: its free surface moves. placed: nodes on other bodies, which do not move;
-    size m: of elements. Raises SolverError if the volume cannot be restored.
-    """
+    """Points (n,3) m of a splat after its free surface has moved so that the splat has its original volume. placed: nodes on other
+    bodies, which do not move; size (m): size of the elements. Raises SolverError if the volume cannot be restored."""
     whole, facets = float(volumes(splat.points, splat.tets).sum()), boundary_faces(splat.tets)[0]
     fixed = np.zeros(len(points), bool)
     fixed[placed] = True
@@ -107,7 +106,8 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
 
 
 def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The nodes of a splat moved from points to wanted (n,3) m, each as far as the quality of its tetrahedra allows."""
+    """The nodes of a splat after they are moved from `points` towards `wanted` (n,3) m, each as far as the quality of its tetrahedra
+    allows."""
     least = LEAST_QUALITY * volumes(splat.points, splat.tets)
     share = np.ones(len(wanted))
     for _ in range(8):

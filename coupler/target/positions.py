@@ -13,7 +13,7 @@ from .domain import Point
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> float:
-    """Vertical shift (m) with which the surface of a body just touches the facets below; -inf if there are none.
+    """Vertical displacement (m) after which the surface of a body just touches the facets below; -inf if there are no facets below.
 
     vertices (k,3) m: of the body's surface; x (n,3) m, facets (f,3): of the surfaces below.
     """
@@ -46,8 +46,8 @@ def near(bodies: Bodies, points: Sequence[Point], radius: float) -> list[int]:
 
 
 def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
-    """Nodes (k,) of a target that were at the elastic edge of the window before, and displacements (k,3) m back to their rest
-    positions: elements beyond the edge have not moved."""
+    """Nodes (k,) of a target that were at the elastic edge of the window, and the displacements (k,3) m that move them back to their
+    rest positions, because elements beyond the edge have not moved."""
     if before.edge is None:
         return None
     number, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
@@ -72,7 +72,7 @@ def means_of(bodies: Bodies, body: int) -> dict[str, float]:
 def splats_at_end(bodies: Bodies, diameters: Sequence[float], levels: Sequence[float]) -> list[dict[str, float] | None]:
     """Shape measures of the splats of the first impacts, SI; None for a splat that has left.
 
-    diameters (k,) m: of their particles; levels (k,) m: height of the surface under each particle before its impact.
+    diameters (k,) m: diameters of their particles; levels (k,) m: height of the surface under each particle before its impact.
     """
     mesh, standing = bodies.target.mesh, []
     impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
