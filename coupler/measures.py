@@ -73,11 +73,11 @@ class Measure:
             object.__setattr__(self, name, value)
 
     def initial(self, T_0: float) -> float:
-        """The reference value of relative errors: the initial temperature T_0 (K) for temperatures, else zero."""
+        """The value to which relative errors refer: the initial temperature T_0 (K) for temperatures, zero for other measures."""
         return T_0 if self.key.startswith("T_") else 0.0
 
     def refusal(self, value: float) -> str | None:
-        """Why a value is invalid: not finite or outside the range; None for a valid value."""
+        """Why a value is invalid (not finite or outside the range); None if it is valid."""
         if not math.isfinite(value):
             return "not a number"
         if self.low <= value <= self.high:
@@ -88,7 +88,7 @@ class Measure:
         )
 
     def remark(self, value: float) -> str | None:
-        """The meaning of a valid but unusual value; None for a usual value."""
+        """The meaning of a valid but unusual value; None if the value is usual."""
         low, high = self.expected
         text = self.unusual[0] if value < low else self.unusual[1] if value > high else ""
         return f"{self.label} is {value * self.factor:.4g}: {text}" if text else None
@@ -183,12 +183,13 @@ CONVERGING = tuple(measure.key for measure in TABLE if measure.converges)
 
 
 def measure(key: str) -> Measure:
-    """The record of a key; a key that is not in TABLE has a record with the unit of its ending."""
+    """The `Measure` of a key. A key that is not in TABLE gets one with the unit that its ending gives."""
     return MEASURES.get(key) or Measure(key, group=TARGET if key.startswith(("target", "plastic")) else RUN)
 
 
 def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str, str]]:
-    """Values with None in place of those outside the range of their measure; key -> reason.
+    """Returns two tables: the values, with None in place of values outside the range of their measure; and the reason for each such
+    key.
 
     If the surface does not follow the points, all measures of the surface are None.
     """

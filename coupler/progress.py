@@ -83,7 +83,8 @@ class Progress:
         self._open()
 
     def update(self, time_: float, kinetic_fraction: float, dt: float, step: int) -> None:
-        """Report the state of the impact. time_: simulated, s; kinetic_fraction: kinetic energy over its initial value; dt: s."""
+        """Report the state of the impact. time_: simulated, s; kinetic_fraction: kinetic energy divided by its initial value; dt:
+        s."""
         self.time, self._stage = self._before + time_, None
         self._dt_first = max(self._dt_first, dt)
         self._state = (kinetic_fraction, dt, step)
@@ -122,7 +123,7 @@ class Progress:
             self._batches = time.monotonic() - self.compiling, done
 
     def log(self, text: str) -> None:
-        """Show a line, on a terminal above the bar."""
+        """Show a line of text; on a terminal it appears above the bar."""
         self.record(text)
         if self.quiet:
             return
@@ -132,7 +133,7 @@ class Progress:
             self._print(text)
 
     def stop(self) -> None:
-        """End, with the last state on the screen. Further calls have no effect."""
+        """End the display; the last state stays on the screen. Further calls have no effect."""
         self._stopped.set()
         if self._ticker is not None:
             self._ticker.join()
@@ -175,7 +176,7 @@ class Progress:
         return (now - self.compiling - begun) * (1.0 - done) / (done - first) if done > first else math.nan
 
     def _fraction(self) -> float:
-        """The share of the expected wall time of all impacts that is done.
+        """The fraction of the expected wall time of all impacts that is already done.
 
         At least _OVERDUE of the time so far of an impact remains. 1 / dt rises approximately as kinetic energy is converted: its
         mean over the rest of the impact is its current value, plus the remaining share of kinetic energy times the difference
@@ -232,7 +233,7 @@ class Progress:
             self._bar.update(self._bar.task_ids[0], completed=self._fraction(), status=text)
 
     def _tick(self) -> None:
-        """Show the duration of a stage: every second on a terminal, else every _LINE_EVERY."""
+        """Show the duration of a stage: on a terminal every second, else every _LINE_EVERY seconds."""
         while not self._stopped.wait(1.0):
             stage, now = self._stage, time.monotonic()
             if stage is None or now - stage[1] < _STAGE_AFTER:
@@ -247,7 +248,7 @@ class Progress:
 
 
 def _words(left: float) -> str:
-    """Text: remaining time; "" if it is unknown."""
+    """The remaining time as text; "" if it is unknown."""
     return "" if math.isnan(left) else f"  about {left:.0f} s to go"
 
 

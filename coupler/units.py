@@ -72,8 +72,8 @@ def _in_si(number: str, unit: str, dimension: str) -> float:
 
 
 def show(value: float, unit: str) -> str:
-    """Write an SI value in a unit: show(2.5e-5, "um") gives "25 um". The text has as few digits as give the same float again; if
-    that is impossible in this unit, it has the SI unit."""
+    """Write an SI value in a unit: show(2.5e-5, "um") gives "25 um". The text has only as many digits as are needed to read back the
+    same float. If this is impossible in the given unit, the text has the SI unit."""
     dimension = _DIMENSION_OF[unit]
     exact = (Fraction(value) - _OFFSETS.get(unit, 0)) / Fraction(_DIMENSIONS[dimension][1][unit])
     for digits in range(1, 18):
@@ -85,7 +85,7 @@ def show(value: float, unit: str) -> str:
 
 
 def rounded(value: float, unit: str, digits: int = 3) -> str:
-    """Write an SI value in a unit, rounded to significant digits: rounded(1.26936e-6, "um") gives "1.27 um"."""
+    """Write an SI value in a unit with the given number of significant digits: rounded(1.26936e-6, "um") gives "1.27 um"."""
     scale = Fraction(_DIMENSIONS[_DIMENSION_OF[unit]][1][unit])
     return f"{_plain(float((Fraction(value) - _OFFSETS.get(unit, 0)) / scale), digits)} {unit}"
 
@@ -96,7 +96,7 @@ def dimension_of(unit: str) -> str:
 
 
 def pattern(dimension: str) -> str:
-    """A regular expression, for JSON schemas, of a number with a unit of a dimension."""
+    """A regular expression for a number with a unit of a dimension, for JSON schemas."""
     known = "|".join(
         re.escape(unit).replace("u", "[uµμ]").replace("deg", "(deg|°)") for unit in _DIMENSIONS[dimension][1]
     )
@@ -104,7 +104,7 @@ def pattern(dimension: str) -> str:
 
 
 def nearest(word: str, known: object) -> str:
-    """A hint such as ' (did you mean "velocity"?)' if a known word is similar, else ""."""
+    """A hint such as ' (did you mean "velocity"?)' if a known word is similar to `word`, else ""."""
     words = {str(k).lower(): str(k) for k in known}  # type: ignore[attr-defined]
     close = difflib.get_close_matches(word.lower()[:_LONGEST], list(words), n=1, cutoff=0.6)
     return f' (did you mean "{words[close[0]]}"?)' if close else ""

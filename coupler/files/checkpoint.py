@@ -97,8 +97,8 @@ def latest(
 
 
 def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
-    """The state of a checkpoint file, a record of class `kind`. about: data that identify the run. Raises CheckpointError if the
-    file is damaged or has another record, OtherVersion if it belongs to another version or scene."""
+    """The state in a checkpoint file, a record of class `kind`. about: data that identify the run. Raises CheckpointError if the file
+    is damaged or has another record, OtherVersion if it belongs to another version or scene."""
     try:
         with open(path, "rb") as stream, NpzFile(stream) as arrays:
             text = arrays["header"].tobytes()
@@ -130,8 +130,8 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
 
 
 def _for_json(arrays: dict[str, np.ndarray], value: object) -> object:
-    """JSON form of a value that JSON does not have: a record becomes a dict with the name of its class, an array its key in
-    `arrays`, to which it is added, a number of numpy a number."""
+    """Convert a value that JSON cannot hold: a record becomes a dict with the name of its class, an array is added to `arrays` and
+    becomes its key there, a number of numpy becomes a number."""
     if is_dataclass(value) and not isinstance(value, type):
         return {_RECORD: type(value).__name__, **{f.name: vars(value)[f.name] for f in fields(value)}}
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
@@ -150,7 +150,7 @@ def _from_json(arrays: Mapping[str, np.ndarray], kinds: Mapping[str, type[Any]],
 
 
 def _kinds(hint: Any) -> dict[str, type[Any]]:
-    """Name -> class, for all records that a value of this type hint can contain."""
+    """The classes of all records that a value of this type hint can contain, by name."""
     own: dict[str, type[Any]] = {hint.__name__: hint} if isinstance(hint, type) and is_dataclass(hint) else {}
     inner = (*get_type_hints(hint).values(), *hint.__subclasses__()) if own else get_args(hint)
     return own | {name: kind for each in inner for name, kind in _kinds(each).items()}

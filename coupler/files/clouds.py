@@ -30,8 +30,8 @@ SURFACE = (
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a file. x (n,3), fields: name -> (n, ...), in the units of the file; units: of "x" and of fields, if the file gives
-    them; notes: remarks about uncertain interpretations."""
+    """Points of a file. x (n,3), fields: name -> (n, ...), in the units of the file; units: units of "x" and of fields, if the file
+    gives them; notes: remarks about uncertain interpretations."""
 
     x: NDArray
     fields: dict[str, NDArray]
@@ -40,8 +40,9 @@ class Points:
 
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
-    """The points of a file. known: names of fields to read from an .npz; columns: names of the columns of a text, "-" leaves one out.
-    Raises InputError, also for a surface, and LimitError before reading if the memory is too small."""
+    """The points of a file. known: names of fields to read from an .npz file; columns: names of the columns of a text file, where "-"
+    leaves a column out. Raises InputError, also if the file holds a surface; LimitError if there is not enough memory for the
+    file."""
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
         most = f"{LARGEST_FILE // 1024**3} GiB, the most that is read"
@@ -72,7 +73,7 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
 
 
 def _npz(path: Path, known: tuple[str, ...]) -> Points:
-    """Arrays of an .npz with a row for each point. The unpacked size is compared with the free memory first."""
+    """Arrays of an .npz file that have a row for each point. Before reading, the unpacked size is compared with the free memory."""
     with open_input(path) as stream, NpzFile(stream) as archive:
         of_points = next((name for name in ("points", "x") if name in archive), None)
         if of_points is None:
@@ -87,7 +88,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
 
 
 def _table(path: Path, columns: list[str] | None) -> Points:
-    """Columns x, y, z and others of a text. An .xyz file begins with the number of its points and a comment line."""
+    """Columns x, y, z and further columns of a text file. An .xyz file begins with the number of its points and a comment line."""
     text = read_any_text(path, LARGEST_FILE)
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()

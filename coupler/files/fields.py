@@ -1,5 +1,5 @@
-"""Read the fields of a VTKHDF file: one domain at one time. A damaged or hostile file cannot make the reader open another file or fill
-the memory."""
+"""Read the fields of one domain at one time from a VTKHDF file. A damaged or malicious file cannot make the reader open another file
+or fill the memory."""
 
 import math
 from collections.abc import Iterator
@@ -32,14 +32,14 @@ class Fields:
     data: dict[str, NDArray]
 
     def split(self) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-        """Data at points, and data in cells. The cells of a particle are its points: all its data are at points."""
+        """The data at points, and the data in cells. The cells of a particle are its points, so that all its data are at points."""
         inside = {} if self.cells.shape[1] == 1 else {n: v for n, v in self.data.items() if len(v) != len(self.points)}
         return {name: values for name, values in self.data.items() if name not in inside}, inside
 
 
 @contextmanager
 def opened(path: Path) -> Iterator["Root"]:
-    """The VTKHDF group of a file. Raises StoreError for any fault of the file."""
+    """The VTKHDF group of a file. Raises StoreError if the file is missing, damaged or of another kind."""
     check_regular(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -60,8 +60,8 @@ class Root:
     path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """Rows start to start + count of a numeric data set, by default all. kinds: allowed kinds of dtype. Raises ValueError for a
-        wrong data set."""
+        """Rows of a numeric data set, from `start`, `count` of them; by default all. kinds: allowed kinds of dtype. Raises ValueError
+        if the data set is not valid."""
         *folders, last = name.split("/")
         group = self.group
         for folder in folders:
@@ -113,7 +113,8 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
-    """One step of a file. times: of its steps. A name at points and in cells gives the values at points."""
+    """One stored step of a file. times: times of all its steps. If a name occurs at points and in cells, the values at points are
+    returned."""
     points, cells, point_data, cell_data = read_arrays(root, step)
     return Fields(float(times[step]), points, cells, cell_data | point_data)
 

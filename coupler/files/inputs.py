@@ -49,7 +49,7 @@ class LimitError(StoreError):
 
 
 def check_regular(path: str | Path) -> int:
-    """Size of a regular file, bytes. Raises InputError if it is missing, a folder, a pipe, a device or a circle of links."""
+    """Size of a regular file, bytes. Raises InputError if the path is missing, a folder, a pipe, a device or a loop of links."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -112,7 +112,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _parsed(load: Callable[[str], T], text: str) -> T:
-    """The data of a text, checked by `check_nesting`. load: parser. Raises ValueError."""
+    """Parse a text with the function `load`, and check the data by `check_nesting`. Raises ValueError."""
     try:
         data = load(text)
     except RecursionError:
@@ -127,7 +127,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def toml_of(text: str, path: str | Path) -> dict[str, Any]:
-    """The tables of the text of a TOML file. Raises InputError, which names the file."""
+    """The tables in the text of a TOML file. Raises InputError with the name of the file."""
     try:
         return parse_toml(text)
     except ValueError as error:
@@ -135,7 +135,8 @@ def toml_of(text: str, path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """Text for an error of TOML (`problem`): the line that it refers to, and a hint for missing quotes; "" if it gives no line."""
+    """Additional text for an error of a TOML file (`problem`): the line with the error, and a hint if quotes are missing; "" if the
+    error names no line."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""
@@ -180,7 +181,7 @@ def check_nesting(data: object) -> None:
 
 
 def leaves(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """(key, value) of nested dicts, with keys such as "particle[2].velocity"; a list of one table counts as that table."""
+    """Each value in nested dicts with its key, such as "particle[2].velocity". A list of one table counts as that table."""
     for name, value in table.items():
         if isinstance(value, Mapping):
             yield from leaves(value, f"{above}{name}.")
@@ -266,7 +267,7 @@ def _check_own_limits() -> None:
 
 
 def _cgroup() -> int:
-    """Memory left in the tightest cgroup (version 2) of this process, bytes."""
+    """Memory, bytes, that this process can still use in the cgroup (version 2) with the least free memory."""
     left, root = 2**62, Path("/sys/fs/cgroup")
     try:
         lines = Path("/proc/self/cgroup").read_text().splitlines()

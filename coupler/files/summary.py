@@ -1,4 +1,4 @@
-"""summary.json: its form (docs/guide/files.md), and flat views of it."""
+"""The format of summary.json (docs/guide/files.md), and its values as flat tables."""
 
 from collections.abc import Mapping
 from pathlib import Path

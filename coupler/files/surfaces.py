@@ -1,4 +1,4 @@
-"""Closed surfaces from files of users: STL, OBJ and PLY, in the dialects of common programs.
+"""Read closed surfaces from the user's files: STL, OBJ and PLY, in the variants that common programs write.
 
 Libraries are not sufficient: open3d ignores polygons of OBJ, trimesh misreads relative indices, meshio refuses other properties of
 faces, and none of them reads a binary STL with bytes after its end.
@@ -33,8 +33,8 @@ Column = tuple[str, str, str]  # property in PLY: name, type of its values, type
 
 
 def read_surface(path: Path) -> Surface:
-    """Points (n,3) and triangles (m,3) of a surface in a file, in its unit and order; polygons are divided into triangles; no triangles
-    if the file has points alone. Raises InputError, LimitError."""
+    """Points (n,3) and triangles (m,3) of a surface in a file, in the unit and the order of the file. Polygons are divided into
+    triangles. A file that has only points gives no triangles. Raises InputError, LimitError."""
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
         raise InputError(path, f"is not a file of a surface: its name must end in {', '.join(SURFACES)}")
@@ -119,7 +119,7 @@ def _ply(raw: bytes) -> Surface:
 
 
 class _Body:
-    """The values after the header of a PLY file, read in sequence. order: byte order, "" for text."""
+    """The values after the header of a PLY file, read one after another. order: byte order, "" for text."""
 
     def __init__(self, raw: bytes, order: str):
         self.order, self.at = order, 0
@@ -164,7 +164,8 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
 
 
 def _cut(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
-    """Triangles of a plane polygon of points x (n,3), which may be concave: ears are cut off one by one (Meisters 1975)."""
+    """Triangles that fill a plane polygon of points x (n,3), which may be concave. Triangles are cut off one by one at convex corners
+    ("ears"; Meisters 1975)."""
     triangles: list[list[int]] = []
     while len(polygon) > 3:
         ring = x[polygon] - x[polygon[0]]

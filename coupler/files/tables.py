@@ -20,8 +20,8 @@ _COUNTED = 10  # least number of rows for which a first column 1, 2, 3 ... count
 
 @dataclass(frozen=True)
 class Table:
-    """columns: name -> numbers (n,), without columns of words; units: name -> unit, if the name has one; notes: remarks about uncertain
-    interpretations. Without names of columns, the first three are x, y and z."""
+    """A table of numbers. columns: name -> numbers (n,); columns of words are left out; units: name -> unit, if the heading has one;
+    notes: remarks about uncertain interpretations. Without column names, the first three columns are x, y and z."""
 
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str]
@@ -39,8 +39,9 @@ def read_any_text(path: Path, limit: int) -> str:
 
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
-    """The table in a text. names: of the columns in their order, "-" leaves one out; default: the names above the numbers. axes:
-    letters of the required columns, which are their names if the text has none. Raises ValueError with the line of the fault."""
+    """The table in a text. names: names of the columns in their order, "-" leaves one out; default: the names above the numbers.
+    axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line of the
+    fault."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -107,7 +108,7 @@ def _is_number(word: str) -> bool:
 def _values(
     rows: list[list[str]], lines: list[int], separator: str
 ) -> tuple[dict[int, NDArray[np.float64]], list[str]]:
-    """Index of a column -> numbers, for columns of numbers; and remarks. lines: index of the line of each row."""
+    """The numbers of each numeric column by its index, and remarks. lines: line number of each row."""
     of_numbers = [k for k, word in enumerate(rows[0]) if _is_number(word)]
     words = [[row[k] for row in rows] for k in of_numbers]
     comma = any("," in word for column in words for word in column)
@@ -127,7 +128,8 @@ def _values(
 
 
 def _titles(line: str, separator: str, count: int) -> list[str] | None:
-    """Names of columns from a line above the numbers; None for another line. A comment must name x, y and z."""
+    """Column names from a line above the numbers; None if the line is not a heading. A comment line is a heading only if it names x,
+    y and z."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
@@ -139,7 +141,7 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
 
 
 def _unnamed(columns: dict[int, NDArray[np.float64]], axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Axis -> numbers for columns without names; and a remark about the used columns if there are more."""
+    """Numbers by axis, for columns without names. If there are more columns than axes, a remark says which are used."""
     places = list(columns)
     values = columns[places[0]]
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):

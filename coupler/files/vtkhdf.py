@@ -40,7 +40,7 @@ CHUNK = 2**16  # most rows of a chunk
 
 @dataclass
 class _State:
-    """Number of valid rows of each data set. A step changes a copy: an interrupted step has no effect."""
+    """Number of valid rows of each data set. A new step changes a copy of this record, so that an interrupted step has no effect."""
 
     steps: int = 0
     rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
@@ -100,8 +100,8 @@ class VtkHdfWriter:
         self._file.close()
 
     def _give_up(self) -> None:
-        """Abandon the file. HDF5 aborts the process if it cannot write its buffers, even at exit: its descriptor is redirected to a
-        file in memory, which discards them."""
+        """Stop using the file after an error. HDF5 aborts the process if it cannot write its buffers, even at exit. Therefore the
+        file descriptor is redirected to a file in memory, which is discarded."""
         with contextlib.suppress(Exception):
             descriptor, size = self._file.id.get_vfd_handle(), self._file.id.get_filesize()
             sink = os.memfd_create(self.path.name)
@@ -164,8 +164,8 @@ class VtkHdfWriter:
         self._state = state
 
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> dict[str, NDArray]:
-        """Begin a new part if the cells or the number of points differ from the last step. Returns the connectivity to store, by
-        name."""
+        """Start a new part of the file if the cells or the number of points differ from those of the last step. Returns the
+        connectivity arrays to store, by name."""
         if points == state.points and state.cells is not None and np.array_equal(cells, state.cells):
             return {}
         table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
@@ -184,7 +184,7 @@ class VtkHdfWriter:
         return {"Connectivity": table.ravel()}
 
     def _packed(self, arrays: Mapping[str, NDArray]) -> dict[str, list[bytes]]:
-        """The data of a step as compressed chunks; threads share the work."""
+        """The data of a step as compressed chunks. Threads compress them in parallel."""
         rows = {name: self._chunk(name, values) for name, values in arrays.items()}
         work = [(name, first) for name, values in arrays.items() for first in range(0, len(values), rows[name])]
 
@@ -238,8 +238,9 @@ class VtkHdfWriter:
 
 
 def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
-    """Write the first `steps` steps of the file `path` into the file `new`. Returns its writer. Raises StoreError for a damaged file,
-    UnreadableError without permission, IndexError for a file with fewer steps, OSError as the writer."""
+    """Copy the first `steps` steps of the file `path` into the file `new`. Returns the writer of the new file. Raises StoreError if
+    the file is damaged, UnreadableError without permission, IndexError if the file has fewer steps, and the OSErrors of the
+    writer."""
     with opened(path) as old:
         times = times_of(old)
     if len(times) < steps:
@@ -267,7 +268,7 @@ def _deflated(values: NDArray, rows: int) -> bytes:
 
 
 def _longest_file() -> float:
-    """Greatest size of a file of this process, bytes."""
+    """Largest file size, bytes, that the system allows for this process."""
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
     return math.inf if limit == resource.RLIM_INFINITY else limit
 

@@ -1,4 +1,4 @@
-"""Calls in a separate process, which may die or hang: gmsh ends with a segmentation fault on some surfaces."""
+"""Function calls in a separate process, which may crash or hang: gmsh ends with a segmentation fault on some surfaces."""
 
 import os
 import pickle

@@ -1,4 +1,4 @@
-"""The package open3d, loaded at its first use."""
+"""Import of the package open3d at its first use."""
 
 import sys
 from types import ModuleType
@@ -10,7 +10,7 @@ UNUSED = ("open3d.ml", "open3d.visualization.draw_plotly")
 
 
 class _Unused(ModuleType):
-    """A module with every name, so that `from ... import` succeeds."""
+    """A module that has every attribute, so that `from ... import` succeeds for any name."""
 
     def __getattr__(self, name: str) -> None:
         if name.startswith("__"):
@@ -18,8 +18,8 @@ class _Unused(ModuleType):
 
 
 def open3d() -> ModuleType:
-    """open3d without UNUSED; it prints errors only. Raises DependencyError if it is missing or incomplete, KeyboardInterrupt if the
-    import is interrupted."""
+    """The module open3d without the parts UNUSED, which are not imported. It prints only errors. Raises DependencyError if it is
+    missing or incomplete, KeyboardInterrupt if the import is interrupted."""
     if "open3d" not in sys.modules:
         for name in UNUSED:
             sys.modules.setdefault(name, _Unused(name))

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes by gmsh: of simple solids, and inside closed surfaces. The only module that imports gmsh.
+"""Tetrahedral meshes by gmsh, of simple solids and inside closed surfaces. Only this module imports gmsh.
 
 gmsh can hang, or end its process: the program calls these functions in a separate process (`geometry.apart`).
 """

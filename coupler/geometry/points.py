@@ -1,4 +1,4 @@
-"""Points: their tetrahedra and depths in a mesh; their order along a curve; cleaning of clouds."""
+"""Operations on points: their positions and depths in a mesh, their order along a space-filling curve, removal of faulty points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ LONELY = 2.5  # spacings: a point whose nearest neighbour is farther away is not
 
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
-    """Indices of the points x (n,3) m to keep: each position once, without isolated points. Second result: texts on omitted points."""
+    """Indices of the points x (n,3) m to keep. Each position is kept once, and isolated points are left out. Returns also texts about
+    the omitted points."""
     finite = np.isfinite(x).all(axis=1)
     if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # the check of the cloud reports it
         return np.arange(len(x)), []
@@ -67,8 +68,8 @@ def in_tets(points: NDArray, tets: NDArray, x: NDArray) -> tuple[NDArray[np.int6
 
 
 def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0) -> NDArray[np.float64]:
-    """Distance (k,) m from the boundary of the tetrahedra (m,4) of points (n,3) to the points x (k,3) inside them. 0 for points
-    outside, and for distances up to `least` m."""
+    """Distance (k,) m of points x (k,3) m inside a mesh from its boundary. The mesh has tetrahedra (m,4) of points (n,3). The
+    distance is 0 for points outside, and for distances up to `least` m."""
     inside = in_tets(points, tets, x)[0] >= 0
     depth, facets = np.zeros(len(x)), boundary_faces(tets)[0]
     # the distance to a node is an upper bound: usually no point is left, and open3d is not loaded
@@ -93,8 +94,8 @@ def morton(x: NDArray) -> NDArray[np.uint64]:
 
 
 def points_near(tree: cKDTree, places: np.ndarray, reach: float, least: int, instead: int) -> csr_array:
-    """Matrix (k,n) with a 1 for each point of a tree within reach (m) of each of places (k,3) m, columns ascending. If fewer than
-    `least` points are within reach, the `instead` nearest points have a 1."""
+    """Matrix (k,n) with the value 1 for each point of `tree` that lies within `reach` (m) of each of the places (k,3) m; columns are
+    ascending. If fewer than `least` points lie within reach, the `instead` nearest points have the value 1."""
     found = cKDTree(places).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
     few = np.bincount(found.row, minlength=len(places)) < least
     instead = min(instead, tree.n)

@@ -64,8 +64,8 @@ class RaySurface:
         return np.bincount(line[above], self._upwards[triangle[above]], len(x)).astype(np.int64)
 
     def feet(self, x: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """The closest points (k,3) m of the surface to x (k,3) m, the indices of their triangles (k,) and their barycentric coordinates
-        (k,3)."""
+        """For points x (k,3) m, the closest points (k,3) m of the surface, the indices of their triangles (k,) and their barycentric
+        coordinates (k,3)."""
         closest = self._scene.compute_closest_points(self._single(x), nthreads=1)
         points = closest["points"].numpy().astype(float) * self.unit + self.middle
         uv = closest["primitive_uvs"].numpy().astype(float)
@@ -73,7 +73,8 @@ class RaySurface:
         return points, closest["primitive_ids"].numpy().astype(np.int64), weights
 
     def on_verticals(self, x: NDArray, y: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        """Crossings of vertical lines at x, y (k,) m with the surface: line (c,), height (c,) m and triangle (c,) of each."""
+        """Points at which vertical lines at x, y (k,) m cross the surface: line (c,), height (c,) m and triangle (c,) of each
+        crossing."""
         low = -60.0  # start of the lines, below the surface
         rays = np.zeros((len(x), 6), np.float32)
         rays[:, 0], rays[:, 1] = (x - self.middle[0]) / self.unit, (y - self.middle[1]) / self.unit

@@ -1,4 +1,5 @@
-"""Rough surface: a random field of heights with given mean deviation and correlation length, and a mesh with this top face."""
+"""Rough surface: a random height field with a given mean deviation and correlation length, and a mesh whose top face has these
+heights."""
 
 import math
 import random
@@ -13,11 +14,11 @@ SAMPLES = 64  # across the disc, for mean and Sa
 
 
 def heights(at: Floats, diameter: float, Sa: float, length: float, seed: int) -> Floats:
-    """Heights (k,) m at points (k,2) m of a disc about the axis. Over the disc of `diameter` m the mean is 0 and the mean deviation Sa
-    m.
+    """Heights (k,) m of the rough surface at points (k,2) m of a disc about the axis. Over the disc of `diameter` m the mean height
+    is 0 and the mean absolute deviation is Sa (m).
 
-    A normal field of WAVES plane waves with the autocorrelation exp(-(distance / length)^2) (Garcia & Stoll 1984, Phys. Rev. Lett. 52,
-    1798). The field of a seed is the same on all meshes and machines.
+    The field is the sum of WAVES plane waves. It has a normal distribution and the autocorrelation exp(-(distance / length)^2)
+    (Garcia & Stoll 1984, Phys. Rev. Lett. 52, 1798). A seed gives the same field on all meshes and machines.
     """
     dice, normal = random.Random(seed), NormalDist(0.0, math.sqrt(2.0) / length)
     wave = np.array([[normal.inv_cdf(dice.random() or 0.5) for _ in range(2)] for _ in range(WAVES)])

@@ -21,8 +21,8 @@ FRAGMENT = 0.01  # of the area of the surface: smaller separate parts are remove
 
 @dataclass(frozen=True)
 class Solid:
-    """A body, given by its closed surface: points (n,3), triangles (m,3) outwards. Its centre of volume is the origin, its volume that
-    of a sphere of diameter 1."""
+    """A body, given by its closed surface: points (n,3), triangles (m,3) with outward normals. Its centroid is the origin, and its
+    volume is that of a sphere of diameter 1."""
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int64]

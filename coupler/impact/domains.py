@@ -39,8 +39,8 @@ class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
     particle: its points on all ranks; bodies: substrate and splats; surface: outer surface of the particle, carried by its points;
-    level: height (m) of the target's surface where the particle first touches it; paths: heat flow between chunks of steps;
-    folding: self-contact of the particle, None without.
+    level: height (m) of the target's surface where the particle first touches it; paths: heat flow between chunks of steps; folding:
+    self-contact of the particle, None if it is not computed.
     """
 
     particle: DistributedParticle
@@ -62,7 +62,7 @@ class Domains:
 
 
 def build_target(plan: Plan) -> Bodies:
-    """The meshed substrate, which is the target of the first impact. Starts gmsh."""
+    """Make the mesh of the substrate, which is the target of the first impact. Starts gmsh."""
     t = plan.target
     sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
     points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread), MESHING_LIMIT)
@@ -79,7 +79,7 @@ def build_target(plan: Plan) -> Bodies:
 
 
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
-    """The bodies of a stored state. Raises CheckpointError where its parts do not fit each other."""
+    """Make the bodies of a stored state. Raises CheckpointError if parts of the state do not fit each other."""
     return Bodies.from_state(
         state, plan.target.faces("fixed"), plan.target.faces("absorbing"), plan.friction, plan.effects.conduction
     )
@@ -94,7 +94,7 @@ def build_domains(
     ranks: parallel.Ranks | None = None,
     level: float | None = None,
 ) -> Domains:
-    """The particle of impact i above the bodies (default: the bare substrate), with contact between them. Starts LAMMPS.
+    """Make the particle of impact i above the bodies (default: the bare substrate), and the contact between them. Starts LAMMPS.
 
     log_file: of LAMMPS; numerics: values in place of the defaults of `particle.particle.Numerics`; ranks: default this process
     alone; level: height (m) of the surface where the particle first touches it, default: from the positions of the bodies.
@@ -131,7 +131,7 @@ def build_domains(
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:
-    """Points and surface of the particle of impact i, around its centre."""
+    """Points and surface of the particle of impact i, relative to its centre."""
     p = plan.impacts[i]
     if p.file:
         points, triangles = map(np.array, vars(plan.solids[p.file]).values())
@@ -148,7 +148,7 @@ def build_particle(
     log_file: Path | None,
     body: shapes.Body | None = None,
 ) -> Particle:
-    """The part of the particle of impact i on this rank. Starts LAMMPS, on all ranks that share the particle.
+    """Make the part of the particle of impact i that this rank computes. Starts LAMMPS on all ranks that share the particle.
 
     place (3,) m: centre; body: result of `body_of`, computed by default; others: as in `build_domains`.
     """

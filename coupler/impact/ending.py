@@ -1,4 +1,4 @@
-"""End of an impact: at rest, at its greatest deformation, or at a given time."""
+"""Criteria for the end of an impact: the particle is at rest, it has its greatest deformation, or a given time is reached."""
 
 import math
 from dataclasses import dataclass
@@ -18,13 +18,14 @@ GLANCING = math.sqrt(0.05)
 
 @dataclass
 class EndState:
-    """State of an `EndCriterion`. at: "rest", "greatest" or "time"; end_time s: time limit.
+    """State of an `EndCriterion`. at: "rest", "greatest" or "time"; end_time (s): time limit.
 
-    peak N: largest contact force so far; turned s: time of the greatest deformation, None before it; loud s: last time with a
-    contact force above QUIET_FORCE of the peak; fast s: last time at which the particle was not bonded, or was faster than
-    HELD_STILL of its impact speed with an energy that its bonds may not absorb; above s: last time at which its centre was above
+    peak (N): largest contact force so far; turned (s): time of the greatest deformation, None before it; loud (s): last time with a
+    contact force above QUIET_FORCE of the peak; fast (s): last time at which the particle was not bonded, or was faster than
+    HELD_STILL of its impact speed with an energy that its bonds may not absorb; above (s): last time at which its centre was above
     the target, not beyond the rim; risen: it has moved upwards after the greatest deformation; arrested: its bonds have stopped it
-    after that; time s, work J: last observed; power W: mean dissipation."""
+    after that; time s, work (J): last observed; power (W): mean dissipation.
+    """
 
     at: str
     end_time: float
@@ -51,8 +52,8 @@ class EndCriterion(EndState):
     """
 
     def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0, energy: float = 0.0):
-        """end_time, at: as in `EndState`; crossing s: D / v; speed m/s: of the impact; slow m/s; energy J: of the impact, if the
-        scene ties its particle to the target; 0 for others."""
+        """end_time, at: as in `EndState`; crossing (s): D / v; speed (m/s): impact speed; slow (m/s): speed that counts as zero;
+        energy (J): kinetic energy of the impact if the scene ties the particle to the target, else 0."""
         super().__init__(at, end_time)
         self.slow = slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
@@ -61,9 +62,9 @@ class EndCriterion(EndState):
     def observe(
         self, time: float, sinking: float, force: float, grip: Grip = "free", is_above: bool = True, work: float = 0.0
     ) -> None:
-        """Record the state at `time` s. sinking m/s: downward speed of the centre of mass; force N: on the particle, upwards; grip:
-        of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can absorb far more than the
-        energy left); is_above: its centre is above the target; work J: dissipated so far."""
+        """Record the state at `time` s. sinking (m/s): downward speed of the centre of mass; force (N): upward contact force on the
+        particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can absorb
+        far more than the energy left); is_above: whether its centre is above the target; work (J): energy dissipated so far."""
         if self.time > 0.0:  # mean over about `quiet` s
             share = -math.expm1((self.time - time) / self.quiet)
             self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
@@ -84,12 +85,12 @@ class EndCriterion(EndState):
             self.loud = time
 
     def reached(self, time: float) -> bool:
-        """Whether the impact is over at `time` s, the time last observed: by its criterion, its time limit, or the rim of the
-        target."""
+        """Whether the impact is over at `time` s, the time last observed: its criterion is met, its time limit is reached, or the
+        particle has left over the rim of the target."""
         return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
-        """Whether the criterion itself is met at `time` s."""
+        """Whether the end criterion, not only the time limit, is met at `time` s."""
         if self.at == "time":
             return self.at_limit(time)
         return self.settled(time) if self.at == "rest" else self.turned is not None
@@ -115,7 +116,8 @@ class EndCriterion(EndState):
         return self.peak > 0.0
 
     def undecided(self, time: float, sinking: float) -> str | None:
-        """Reason why the impact ended at `time` s without meeting its criterion, None if it is met. sinking m/s."""
+        """Reason why the impact ended at `time` s without meeting its criterion; None if the criterion is met. sinking (m/s):
+        downward speed of the centre of mass."""
         if self.met(time):
             return None
         aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]
@@ -125,8 +127,8 @@ class EndCriterion(EndState):
         return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
-        """Continue an impact that has ended at `time` s until `until` s. Without `until`, an impact that has not met its criterion
-        continues for the same time again, and one that has met it is over: its run was stopped later."""
+        """Continue an impact that has ended at `time` s until `until` s. If `until` is None: an impact that has not met its criterion
+        continues for the same time again; an impact that has met it does not continue."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
                 self.end_time += time

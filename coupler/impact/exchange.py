@@ -41,8 +41,8 @@ LOST = 0.01  # largest share of the points that can lie deeper than a spacing in
 
 @dataclass(eq=False)
 class Course:
-    """Course of an impact. time s; force (3,) N: on the particle; deepest m: largest penetration so far; limits: numbers of steps
-    limited by particle, target and contact."""
+    """Data collected during an impact. time (s); force (3,) N: contact force on the particle; deepest (m): largest penetration so
+    far; limits: numbers of steps whose length is limited by particle, target and contact."""
 
     time: float = 0.0
     deepest: float = 0.0
@@ -67,7 +67,7 @@ class ImpactState:
 class Impact(Course):
     """The impact of one particle on one target of one or several bodies.
 
-    The carried surface of the particle is in contact with the facets of the target. bonds: of the particle, or None; dt_factor:
+    The carried surface of the particle is in contact with the facets of the target. bonds: bonds of the particle, or None; dt_factor:
     factor of the stable time step, below 1 after a retry.
     """
 
@@ -86,7 +86,8 @@ class Impact(Course):
 
     @cached_property
     def _rings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Contact nodes beside each vertex of the particle's surface (CSR): its neighbours and the points under it."""
+        """For each vertex of the particle's surface (CSR arrays), the neighbouring contact nodes: adjacent vertices and the points
+        under it."""
         beside = hstack([self.surface.neighbours, self.surface.under], format="csr")
         return beside.indptr.astype(np.int64), beside.indices.astype(np.int64)
 
@@ -97,8 +98,9 @@ class Impact(Course):
 
     @property
     def grip(self) -> Grip:
-        """State of the bonds of the particle, from the ratio of the energy that they can absorb to the energy left to break them:
-        kinetic energy of the centre of mass normal to the surface plus energy stored in the bonds."""
+        """State of the particle's bonds, as in `EndCriterion.observe`. It follows from the energy that the bonds can absorb, divided
+        by the energy that can break them. The latter is the kinetic energy of the centre of mass normal to the surface plus the
+        energy stored in the bonds."""
         if self.bonds is None or self.bonds.bond.broken.all():
             return "free"
         if self.sinking < 0.0 and self.bonds.gives_way(self.normal_energy):
@@ -123,7 +125,8 @@ class Impact(Course):
         return self.particle.totals.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
 
     def stable_time_step(self) -> float:
-        """The stable time step (s) of both domains and the contact. `limits` counts which of them limits it."""
+        """Stable time step (s) of the particle, the target and the contact. It also counts in `limits` which of these limits the
+        step."""
         nearer = APPROACH * self.particle.spacing / (CHUNK * max(self.particle.totals.fastest, 1e-9))
         bounds = {
             "particle": min(self.particle.totals.dt, nearer),
@@ -157,7 +160,7 @@ class Impact(Course):
             self.folding.search(self.particle, time)
 
     def advance(self, steps: int, dt: float) -> None:
-        """Make `steps` steps of dt s. Raises SolverError where a domain fails."""
+        """Make `steps` steps of dt s. Raises SolverError if a domain fails."""
         needed = self.surface.support(self.contact.rows)
         if self.folding is not None:
             needed = np.union1d(needed, self.folding.needed)
@@ -187,7 +190,7 @@ class Impact(Course):
         t.finish()
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Update the clean metal at the touching vertices after a chunk of steps."""
+        """Update the area of clean metal at the touching vertices after a chunk of steps."""
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
         if self._films is None:
@@ -195,11 +198,11 @@ class Impact(Course):
         self.exposure.update(self.domains, touching, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Bond the vertices that are pressed on the target now and meet the criterion; a vertex bonds once.
+        """Bond the touching vertices that are under pressure and meet the adhesion criterion. A vertex bonds only once.
 
-        By exposure a vertex bonds when its pressure has fallen below the extrusion pressure: above it fresh metal welds while it
-        slides. If the pressure rises above it again, the bond is removed, and the vertex can bond again. Raises SolverError for a
-        strength and energy that give no admissible bond.
+        With the criterion "exposure" a vertex bonds when its pressure has fallen below the extrusion pressure: above this pressure
+        fresh metal still slides while it welds. If the pressure rises above it again, the bond is removed, and the vertex can bond
+        again. Raises SolverError if strength and energy give no admissible bond.
         """
         if self.bonds is not None and self.exposure is not None:
             again = self.exposure.extruding[self.bonds.bond.nodes]
@@ -227,7 +230,7 @@ class Impact(Course):
         self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
-        """Mask (k,) of the touching vertices that meet the criterion. The larger strain of both sides counts."""
+        """Mask (k,) of the touching vertices that meet the adhesion criterion. Of the strains of both sides, the larger counts."""
         rows, area = touching.rows, touching.area[touching.rows]
         if self.exposure is not None:
             sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
@@ -239,7 +242,7 @@ class Impact(Course):
         return plan.adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
 
     def _metals(self, plan: Plan) -> list[Material]:
-        """The metal of each law of the target."""
+        """The metals of the target, one for each of its laws."""
         metals = [plan.target.material] * len(self.target.laws)
         for metal in (*(impact.material for impact in plan.impacts), plan.target.material):
             for i in np.flatnonzero(is_metal(self.target.laws, metal)):
@@ -247,8 +250,8 @@ class Impact(Course):
         return metals
 
     def check_contact(self) -> None:
-        """Raise SolverError if more than the share LOST of the points lies deeper than a spacing in the target: the contact lost
-        them."""
+        """Raise SolverError if too many points lie inside the target: the share of points deeper than one spacing exceeds LOST,
+        because the contact no longer finds them."""
         p, t = self.particle, self.target
         depth = depths(p.x, t.nodes.x, t.mesh.conn, least=p.spacing)
         lost = np.count_nonzero(depth)
@@ -267,7 +270,7 @@ class Impact(Course):
         )  # fmt: skip
 
     def restore(self, state: ImpactState) -> None:
-        """Restore a `state` in a new impact of the same plan and bodies. Raises CheckpointError where it does not fit."""
+        """Restore a `state` in a new impact of the same plan and bodies. Raises CheckpointError if the state does not fit."""
         self.particle.restore(state.particle)
         self.contact.restore(state.contact)
         if self.folding is not None and state.folding is not None:

@@ -1,4 +1,5 @@
-"""Clean metal exposed and pressed together at each vertex of the particle's surface: the film theory of bonding."""
+"""Film theory of bonding: clean metal is exposed when oxide films crack, and pressed together, at each vertex of the particle's
+surface."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -16,9 +17,9 @@ from .touching import Touching
 class Exposure:
     """History of the interface at the v vertices of the particle's surface.
 
-    clean (v,2): smaller and larger share of clean metal of the two surfaces (`physics.adhesion.clean_share`), at the time of the
-    largest smaller share; sound (v,): largest share of the area at which clean metal has come through the cracks of the films
-    (`physics.adhesion.sound_fraction`); extruding (v,): the present pressure extrudes metal through the cracks; area_0 (v,),
+    clean (v,2): clean fraction of the two surfaces, smaller and larger value (`physics.adhesion.clean_share`), at the time when the
+    smaller value is largest; sound (v,): largest area fraction at which clean metal has come through the cracks of the films
+    (`physics.adhesion.sound_fraction`); extruding (v,): whether the present pressure extrudes metal through the cracks; area_0 (v,),
     facet_area_0 (f,) m2: areas of vertices and facets at the start.
     """
 
@@ -30,7 +31,7 @@ class Exposure:
 
     @classmethod
     def begin(cls, domains: Domains) -> "Exposure":
-        """The exposure at the start of an impact."""
+        """The state at the start of an impact, before any film has cracked."""
         surface, target = domains.surface, domains.target
         area_0 = vertex_areas(surface.positions(domains.particle.x), surface.triangles)
         n, facet_area_0 = len(area_0), areas(target.nodes.x, target.mesh.facets)

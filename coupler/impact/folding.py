@@ -50,7 +50,8 @@ class Folding:
     """
 
     def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):
-        """body: undeformed, around its centre; surface: outer surface; place (3,) m: centre; stiffness N/m: of a vertex."""
+        """body: undeformed, around its centre; surface: outer surface; place (3,) m: centre; stiffness (N/m): stiffness of a
+        vertex."""
         self.surface = whole_surface(body, surface, place)
         vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
         self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)
@@ -66,11 +67,11 @@ class Folding:
 
     @property
     def needed(self) -> Ints:
-        """Points of the particle on which the contact forces depend and act."""
+        """Points of the particle whose positions determine the contact forces, or on which these forces act."""
         return self._support if len(self.contact.rows) else self._support[:0]
 
     def stable_dt(self, mass: Floats) -> float:
-        """Stable time step (s) of the springs. mass (n,) kg: of the points."""
+        """Stable time step (s) of the springs. mass (n,) kg: mass of the points."""
         softness = self.surface.softness(mass)
         return self.contact.stable_dt(softness, 1.0 / softness) if len(self.contact.rows) else np.inf
 

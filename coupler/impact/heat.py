@@ -17,9 +17,9 @@ from .folding import Folding
 
 @dataclass
 class HeatPaths:
-    """Active heat paths between a particle and a target. friction: heat of friction and of bond fracture raises the temperature of
-    both; points: conduction inside the particle, None: off; interface: conduction across the contact, without contact resistance;
-    folding: self-contact of the particle, None: off."""
+    """Heat flows that are active between a particle and a target. friction: heat of friction and of bond fracture raises the
+    temperature of both; points: conduction inside the particle, None if it is off; interface: conduction across the contact, without
+    contact resistance; folding: self-contact of the particle, None if it is off."""
 
     particle: DistributedParticle
     target: Target
@@ -41,8 +41,8 @@ class HeatPaths:
                 self.target.warm(elements, heat)
 
     def release(self, bonds: ParticleBonds | None) -> None:
-        """Heat the points, and the elements behind facets, by the friction and the fracture of bonds since the last call. The
-        particle gets the contact's `share` of the heat of bonds."""
+        """Heat the points of the particle, and the elements behind the facets, by the friction and the fracture of bonds since the
+        last call. Of the heat of bonds the particle gets the contact's `share`."""
         if not self.friction:
             return
         target, contact = self.target, self.contact

@@ -1,4 +1,4 @@
-"""The energy ledger of an impact, and the checks that it closes."""
+"""The energy ledger of an impact: a balance of all energies, and checks that the total stays constant."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -26,15 +26,15 @@ _STORED = (
 class Ledger:
     """Energies of both domains in one impact, J, less the energy of the target before the impact.
 
-    The sum of all terms is constant; `drift` is its change over the initial kinetic energy of the particle. numerical_particle:
-    numerical dissipation of the SPH scheme, the work against internal forces less elastic and plastic energy. Its parts
-    viscosity_particle and hourglass_particle are measured from their own forces; unexplained_particle is the rest (all of it with
-    an engine that does not measure them). numerical_target: work of the bulk viscosity and of the inertia of scaled elements.
+    The sum of all terms should be constant; `drift` is its change divided by the initial kinetic energy of the particle.
+    numerical_particle: numerical dissipation of the SPH scheme, the work against internal forces less elastic and plastic energy. Its
+    parts viscosity_particle and hourglass_particle are measured from their own forces; unexplained_particle is the rest (all of it
+    with an engine that does not measure them). numerical_target: work of the bulk viscosity and of the inertia of scaled elements.
     Elastic and plastic energy of the target are functions of its state: the drift includes errors of its stress update and of the
     contact.
 
-    kinetic_0 J: initial kinetic energy; momentum_0 (3,) N s: initial momentum; scale: norm of the initial momentum of the particle
-    alone; before: terms at the start, J; rows: terms at the last update.
+    kinetic_0 (J): initial kinetic energy; momentum_0 (3,) N s: initial momentum; scale: norm of the initial momentum of the
+    particle alone; before: terms at the start, J; rows: terms at the last update.
     """
 
     kinetic_0: float
@@ -52,9 +52,10 @@ class Ledger:
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
     def update(self, domains: Domains, bonds: ParticleBonds | None = None) -> dict[str, float]:
-        """Present energies (J), drift (over the initial kinetic energy) and momentum_error (over the initial momentum).
+        """Compute the present energies (J), `drift` (relative to the initial kinetic energy) and `momentum_error` (relative to the
+        initial momentum).
 
-        bonds: between particle and target, None without.
+        bonds: bonds between particle and target, None if there are none.
         """
         r, target = _terms(domains, bonds), domains.target
         total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
@@ -69,17 +70,18 @@ class Ledger:
 
     @property
     def numerical_dissipation(self) -> float:
-        """Numerical dissipation of both domains over the initial kinetic energy."""
+        """Numerical dissipation of both domains divided by the initial kinetic energy."""
         return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
 
     @property
     def dissipation_of_plastic(self) -> float | None:
-        """Numerical dissipation of the particle over its plastic work; None if the plastic work is below FLOWS."""
+        """Numerical dissipation of the particle divided by its plastic work; None if the plastic work is below FLOWS."""
         plastic = self.rows["plastic_particle"]
         return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
 
     def check(self, drift_bound: float | None = None) -> None:
-        """Raise SolverError when energy or momentum do not balance at the last update. drift_bound: DRIFT_BOUND by default."""
+        """Raise SolverError if energy or momentum is not in balance at the last update. drift_bound: largest allowed drift, by
+        default DRIFT_BOUND."""
         bound = DRIFT_BOUND if drift_bound is None else drift_bound
         drift, error = self.rows["drift"], self.rows["momentum_error"]
         if not abs(drift) <= bound:
@@ -93,7 +95,7 @@ class Ledger:
             )
 
     def check_closure(self) -> None:
-        """Raise SolverError when the ledger of a finished impact does not close."""
+        """Raise SolverError if the energy balance of a finished impact is not closed."""
         self.check()
         # losses by viscosity and hourglass control must not hide energy that is generated elsewhere
         dissipated, unexplained = (

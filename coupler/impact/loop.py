@@ -18,7 +18,8 @@ def advance_to_end(
     keep: Callable[[], None],
     probe: Callable[[Impact], None] | None,
 ) -> None:
-    """Advance an impact to its end. keep(): called before each chunk of steps, stores the state; probe(impact): called after it.
+    """Advance an impact to its end. keep(): function that stores the state, called before each chunk of steps; probe(impact):
+    function called after each chunk.
 
     Raises SolverError when a domain fails or the energy ledger does not close, StoreError when a file cannot be written.
     """
@@ -45,7 +46,7 @@ def advance_to_end(
 
 
 def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
-    """Advance both domains by CHUNK steps, fewer and shorter ones before end_time (s). Returns the time step, s."""
+    """Advance both domains by CHUNK steps; near end_time (s) by fewer and shorter steps. Returns the time step, s."""
     impact.search_bodies()
     dt, steps = impact.stable_time_step(), CHUNK
     if end_time is not None and impact.time + steps * dt > end_time:

@@ -16,17 +16,17 @@ YIELDED = 0.002  # smallest plastic strain of a yielded element: the offset of t
 
 
 def share_inside_itself(surface: CarriedSurface, x: np.ndarray) -> float:
-    """Share of the points x (n,3) m of a particle that lie in another part of it: the surface, including cavities, has a winding
-    number above 1 there."""
+    """Fraction of the points x (n,3) m of a particle that lie inside another part of the same particle. There the winding number of
+    the surface, including cavities, is above 1."""
     return float(np.mean(RaySurface(surface.positions(x), surface.triangles).windings(x) > 1))
 
 
 def crater_depth(surface: np.ndarray) -> float:
-    """Depth of a crater below z = 0, m. surface (k,3) m: surface nodes of the target; the depth is 0 without nodes, as in the
+    """Depth of the crater below z = 0, m. surface (k,3) m: surface nodes of the target. The depth is 0 without nodes, as in the
     sub-domain of an impact on a pile higher than its window.
 
-    It is the lowest nodal value of a paraboloid fitted to the 16 nodes nearest to the deepest one, because the depth of a single
-    node depends on the mesh.
+    A paraboloid is fitted to the 16 nodes nearest to the deepest one, because the depth of a single node depends on the mesh. The
+    depth is the lowest value of this paraboloid at a node.
     """
     if len(surface) == 0:
         return 0.0
@@ -41,7 +41,7 @@ def crater_depth(surface: np.ndarray) -> float:
 
 
 def plastic_zone(target: Target) -> tuple[float, float]:
-    """Radius and depth (m) of the yielded zone of the substrate, with a plastic strain of YIELDED or more; 0 without one.
+    """Radius and depth (m) of the part of the substrate that has a plastic strain of at least YIELDED; both are 0 if there is none.
 
     Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of the lowest centroid of a
     yielded element below z = 0.
@@ -57,8 +57,8 @@ def plastic_zone(target: Target) -> tuple[float, float]:
 
 
 def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]:
-    """Present measures, SI, without the crater. diameter m: of the particle; level m: height from which heights are measured. Means
-    are over mass, percentiles over points."""
+    """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): height from
+    which heights are measured. Means are weighted by mass; percentiles count points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = float(particle.law["rho"][0])
     vertices = surface.positions(particle.x)

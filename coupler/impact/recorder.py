@@ -29,9 +29,9 @@ VTK_ORDER = [0, 1, 2, 5, 3, 4]  # order of tensor components in ParaView: xx yy 
 
 @dataclass
 class Recorded:
-    """State of a `Recorder`. next_row, next_output s: times of the next outputs; greatest: measures at the greatest deformation,
+    """State of a `Recorder`. next_row, next_output (s): times of the next outputs; greatest: measures at the greatest deformation,
     None before it; over_rim: the particle has reached beyond the rim of the substrate and below its surface; at_rim: it has touched
-    the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at m: height of the
+    the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at (m): height of the
     particle's centre at its last contact, or at the start before the first contact."""
 
     next_row: float = 0.0
@@ -53,8 +53,8 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
 
 
 def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
-    """What holds the nodes of bodies at rest. bonded: share of the strength that the bond of a node has left, 0 without one; touching:
-    1 where a contact presses the node on another body."""
+    """Output fields of the joints between bodies at rest. bonded: remaining share of the strength of a node's bond, 0 without a bond;
+    touching: 1 if a contact presses the node on another body."""
     bonded, touching = np.zeros((2, len(bodies.target.nodes.x)))
     if (bond := bodies.bond) is not None:
         bonded[bond.nodes[~bond.broken]] = 1.0 - bond.damage[~bond.broken]
@@ -75,8 +75,8 @@ class Recorder:
         self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
-        """Write the fields at the start, unless the restored files have them: of the first impact always, of other impacts unless
-        only their end is written."""
+        """Write the fields at the start, unless restored files already contain them. For the first impact they are always written,
+        for later impacts unless only the end of each impact is written."""
         if self.seen.next_output == 0.0:
             self.seen.met = impact.target.nodes.x[impact.surface_nodes, 2]
             self.seen.touched_at = float(impact.particle.x[:, 2].mean())
@@ -85,7 +85,7 @@ class Recorder:
             self.seen.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
-        """Write the outputs that are due after a chunk of steps of dt s, and all outputs after the last chunk.
+        """Write the outputs that are due after a chunk of steps of dt s. After the last chunk write all outputs.
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """
@@ -97,13 +97,13 @@ class Recorder:
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
-        """Measure the greatest deformation, and write its fields unless only the end is written."""
+        """Store the measures at the greatest deformation. Write also its fields, unless only the end of each impact is written."""
         self.seen.greatest = self.measures(impact)
         if np.isfinite(self.seen.next_output):
             self.write_fields(impact)
 
     def write_row(self, impact: Impact, dt: float) -> None:
-        """Write one row of history.csv, and update the extremes of the impact."""
+        """Write one row of history.csv, and update the extreme values of the impact."""
         particle = impact.particle
         ledger = impact.ledger.update(impact.domains, impact.bonds)
         skin = impact.surface.positions(particle.x)
@@ -124,12 +124,13 @@ class Recorder:
         self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 
     def is_above(self, impact: Impact) -> bool:
-        """Whether the centre of the particle is above the target, not beyond its rim."""
+        """Whether the centre of the particle is above the top face of the target, not beyond its rim."""
         away = np.subtract([along.mean() for along in impact.particle.x[:, :2].T], self.plan.target.centre)
         return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
-        """Record extremes of the models, and whether the particle is at a rim. skin (k,3) m: surface of the particle."""
+        """Record the extreme values for the validity of the models, and whether the particle has reached a rim. skin (k,3) m: surface
+        of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
@@ -168,7 +169,8 @@ class Recorder:
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:
-        """Height (m) by which a particle without contact has risen since its last contact: its shape is measured there."""
+        """Height (m) by which a particle that has rebounded has risen since its last contact. Its shape is measured relative to this
+        height."""
         return max(0.0, float(impact.particle.x[:, 2].mean()) - self.seen.touched_at)
 
     def _crater(self, impact: Impact) -> float:

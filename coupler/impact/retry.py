@@ -1,4 +1,5 @@
-"""Retries after a failure in an impact: it is computed again from its start, with the next of REMEDIES. Each retry is reported."""
+"""Retries after a failure in an impact: the impact is computed again from its start, with the next of REMEDIES. Each retry is
+reported."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +9,8 @@ from ..errors import SolverError
 
 @dataclass(frozen=True)
 class Remedy:
-    """dt_factor: factor of the stable time step; words: description; numerics: minimum values of the particle's `Numerics`."""
+    """Changed settings for a retry. dt_factor: factor on the stable time step; words: description; numerics: minimum values of the
+    particle's `Numerics`."""
 
     dt_factor: float
     words: str
@@ -28,7 +30,8 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class Retry:
-    """One retry. time_s: time of the failure since the start of the run; numerics: of the particle in the retry."""
+    """Record of one retry. time_s: time of the failure since the start of the run; numerics: numerics of the particle in the
+    retry."""
 
     impact: int
     time_s: float
@@ -44,8 +47,8 @@ class Retry:
 def next_retry(
     before: Sequence[Retry], requested: Mapping[str, float], error: SolverError, impact: int, time: float
 ) -> Retry:
-    """The retry after an error. before: earlier retries of the same impact; requested: numerics that the user has set; time s: of
-    the error. Raises the error when no remedy is left."""
+    """The next retry after an error. before: earlier retries of the same impact; requested: numerics that the user has set; time (s):
+    time of the error. Raises the error if no remedy is left."""
     if len(before) >= len(REMEDIES):
         raise error
     remedy = REMEDIES[len(before)]

@@ -1,4 +1,4 @@
-"""One impact as a function from a target to an outcome, with retries and checkpoints."""
+"""Computation of one impact: from a target to its outcome, with retries and checkpoints."""
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
@@ -29,12 +29,13 @@ from .verdict import is_tied
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run; `progress`, `ranks`, `threads`, `jobs` and files do not change the numbers.
+    """Options of a run. The options `progress`, `ranks`, `threads` and `jobs`, and the files, do not change the numbers.
 
-    log_file: of LAMMPS; threads: number that share the loops of a step and the work between impacts; numerics: values in place of
-    the defaults of `particle.particle.Numerics`; probe: called with the `Impact` after each chunk of steps; checkpoint_every: wall
-    time, s; until s: new time limit of an impact that continues after its own one, None: the same time again; skip_failed: leave
-    out impacts that fail; jobs: number of impacts of a batch at a time.
+    log_file: log file of LAMMPS; threads: number of threads that share the loops of a step and the work between impacts; numerics:
+    values in place of the defaults of `particle.particle.Numerics`; probe: function called with the `Impact` after each chunk of
+    steps; checkpoint_every: wall time between checkpoints, s; until (s): new time limit of an impact that continues after its first
+    limit, None: the time is doubled; skip_failed: leave out impacts that fail; jobs: number of impacts of a batch that are computed
+    at the same time.
     """
 
     progress: Progress
@@ -51,7 +52,8 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class ImpactOutcome:
-    """A finished impact: domains, with LAMMPS still running; bonds of the particle, or None; record for summary.json."""
+    """A finished impact. domains: target and particle, whose LAMMPS still runs; bonds: bonds of the particle, or None; record: its
+    entry for summary.json."""
 
     domains: Domains
     bonds: ParticleBonds | None
@@ -60,8 +62,8 @@ class ImpactOutcome:
 
 @dataclass(frozen=True)
 class RunningState:
-    """State of an unfinished impact. level m: height of the surface where the particle first touches it; wall, looped s: wall time
-    so far, in total and in the time loop."""
+    """State of an unfinished impact. level (m): height of the surface where the particle first touches it; wall, looped (s): wall
+    time so far, in total and in the time loop only."""
 
     impact: ImpactState
     ending: EndState
@@ -85,10 +87,10 @@ def run_impact(
 ) -> ImpactOutcome:
     """Compute impact i of a plan from its start, or from a stored state, to its end.
 
-    bodies: target before the impact; written: amount written to each file before it, None if the files start with it; before s:
-    simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
+    bodies: target before the impact; written: amount of data in each file before the impact, None if the files start with it; before
+    (s): simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
     computed again from its start with the next remedy (`impact.retry`). An impact that does not meet its end criterion at its time
-    limit is undecided: it writes a checkpoint, from which it can continue; the same holds for an undecided verdict. Raises
+    limit is undecided: it writes a checkpoint, from which it can continue. An impact whose verdict is undecided does the same. Raises
     SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
     """
     retries: list[Retry] = []
@@ -180,8 +182,9 @@ class _Attempt:
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """The end criterion of impact i. energy J: of the impact. On earlier splats a slow particle counts as at rest, because it can
-    creep. On a coating, a particle that the scene ties ends before its contact is silent."""
+    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats a slow particle counts as at rest,
+    because such a particle can creep. On a coating, a particle that the scene ties to the target may end before its contact force
+    vanishes."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
     slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0
@@ -189,13 +192,13 @@ def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
 
 
 class _WallClock:
-    """Wall time of an impact, s: in total and in the time loop. Both include retries and earlier parts of a resumed impact."""
+    """Wall time of an impact, s, in total and in the time loop. Both times include retries and the parts before a resumption."""
 
     def __init__(self, wall: float = 0.0, looped: float = 0.0):
         self._began, self._looped, self._loop_began = clock.perf_counter() - wall, looped, 0.0
 
     def start_loop(self) -> None:
-        """Start the time of the loop, unless it runs since before a retry."""
+        """Start the clock of the time loop, unless it already runs since an attempt before a retry."""
         self._loop_began = self._loop_began or clock.perf_counter() - self._looped
 
     @property

@@ -1,4 +1,4 @@
-"""Signals that ask a run to stop."""
+"""Handling of the signals that ask a run to stop."""
 
 import signal
 from collections.abc import Iterator
@@ -9,11 +9,12 @@ from ..core.signals import handled
 
 
 class Stopped(KeyboardInterrupt):
-    """The run has stopped after a signal and written a checkpoint. Argument: number of the signal."""
+    """The run has stopped after a signal and has written a checkpoint. Its argument is the number of the signal."""
 
 
 class StopSignals:
-    """Signals that ask a run to stop. number: of the first signal, 0 before it; a second signal interrupts at once."""
+    """The signals received so far. number: number of the first signal, 0 if there is none. A second signal interrupts the program at
+    once."""
 
     number = 0
 
@@ -26,7 +27,7 @@ class StopSignals:
 
 @contextmanager
 def stop_signals() -> Iterator[StopSignals]:
-    """Context in which SIGINT and SIGTERM are only recorded, so that the chunk of steps is completed."""
+    """Context manager in which SIGINT and SIGTERM are only recorded, so that the current chunk of steps is completed."""
     signals = StopSignals()
     with handled(signals.note, signal.SIGINT, signal.SIGTERM):
         yield signals

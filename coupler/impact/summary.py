@@ -27,8 +27,8 @@ STUCK = "the particle sticks"  # reason for no rebound velocity
 
 @dataclass(frozen=True)
 class ImpactRecord:
-    """Record of a finished impact for summary.json. values: entry in `impacts`; warnings, retries: entries in the lists of the run;
-    memory_peak: of all processes, bytes."""
+    """Record of a finished impact for summary.json. values: its entry in `impacts`; warnings, retries: its entries in the lists of
+    the run; memory_peak: largest memory of all processes, bytes."""
 
     values: Values
     warnings: list[str]
@@ -39,7 +39,7 @@ class ImpactRecord:
 def summarise(
     impact: Impact, recorder: Recorder, ending: EndCriterion, retries: Sequence[Retry], wall: float, looped: float
 ) -> ImpactRecord:
-    """The record of a finished impact. wall s: total wall time; looped s: wall time in the time loop.
+    """The record of a finished impact. wall (s): total wall time; looped (s): wall time in the time loop.
 
     A value is None, with a reason in `refused`, if it is outside its range, if it needs the end criterion and the impact is
     undecided, or if it is the rebound velocity of a particle that does not rebound.
@@ -85,7 +85,7 @@ def summarise(
 
 
 def _computed(impact: Impact, recorder: Recorder) -> Values:
-    """Data of the computation: input, resolution, time steps, and errors of the balances."""
+    """Data about the computation: input, resolution, time steps, and errors of the energy and momentum balances."""
     particle, target, ledger, impact_plan = impact.particle, impact.target, impact.ledger, recorder.impact_plan
     energies = {name: value for name, value in ledger.rows.items() if name not in ("drift", "momentum_error")}
     return {
@@ -114,14 +114,14 @@ def _computed(impact: Impact, recorder: Recorder) -> Values:
 
 
 def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") -> dict[str, V | None]:
-    """The values, with None for values outside their range. `refused` gets the reasons, with keys of the form block + key."""
+    """The values, with None in place of values outside their range. The reasons are added to `refused`, under the key block + key."""
     kept, reasons = within_range(values)
     refused |= {block + key: reason for key, reason in reasons.items()}
     return kept
 
 
 def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
-    """Warnings about ranges of models that the impact has left, and about rims."""
+    """Warnings about limits of models that the impact has exceeded, and about rims that the particle has reached."""
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
     beyond = recorder.seen.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
@@ -146,7 +146,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
 
 
 def _molten(impact: Impact, recorder: Recorder) -> list[str]:
-    """Warnings about material above its melting point: the law has no latent heat and no melt."""
+    """Warnings about material above its melting point, because the material law has no latent heat and no melt."""
     particle, target = impact.particle, impact.target
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
     melting = np.full(particle.n, particle.law["T_m"][0]), target.laws["T_m"][target.law_of]

@@ -1,4 +1,5 @@
-"""Vertices of the particle in contact at one time of an impact: computed once, for exposure and for bonds."""
+"""The vertices of the particle that are in contact at one time of an impact. They are computed once, and used for exposure and
+bonds."""
 
 from functools import cached_property
 

@@ -1,4 +1,4 @@
-"""Validity of the material models in a run: extremes of each impact, and warnings about ranges of fits that it has left.
+"""Validity of the material models in a run: extreme values of each impact, and warnings if they lie outside the range of the fits.
 
 Limits of the strength: strain rate, temperature and strain of the data of the strength set, if its source gives them; else the
 strain rate of Hopkinson bars and nine tenths of the melting point (`plan.remarks.NEAR_MELTING`). Limit of the pressure: that of a
@@ -22,8 +22,8 @@ LINEAR_ERROR = 0.05
 
 @dataclass
 class Extreme:
-    """Largest values of a body so far. rate: 99th percentile of plastic strain rates above zero, 1/s; melting: temperature over
-    melting point; strain: 99th percentile of plastic strains above zero; compression: 1 - J."""
+    """Largest values in a body so far. rate: 99th percentile of plastic strain rates above zero, 1/s; melting: temperature divided by
+    the melting point; strain: 99th percentile of plastic strains above zero; compression: 1 - J."""
 
     rate: float = 0.0
     melting: float = 0.0
@@ -58,8 +58,8 @@ class Extremes:
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
-        """Warnings about ranges that the impact has left, with their limits. impact: number, from 1; materials: by "particle" and
-        "target"."""
+        """Warnings about model limits that the impact has exceeded. impact: number of the impact, from 1; materials: materials of
+        "particle" and "target"."""
         texts, left = [], []
         for body, kept in vars(self).items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
@@ -77,7 +77,8 @@ class Extremes:
 
 
 def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
-    """One text about the values of a body beyond the range of the fit of its strength; an empty list if there are none."""
+    """A text about the values of a body outside the fitted range of its strength law, as a list with one element; an empty list if
+    all values are inside the range."""
     fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
     if kept.rate > metal.fitted_rate:
@@ -92,10 +93,10 @@ def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
 
 
 def merged(texts: list[str]) -> list[str]:
-    """The warnings of a whole run, without repetitions. Of warnings that differ only in numbers, impacts or bodies, the one with
-    the largest first number remains, with a note of the others.
+    """The warnings of a whole run, without repetitions. If warnings differ only in numbers, impacts or bodies, only the one with the
+    largest first number remains, with a note about the others.
 
-    Warnings of an impact begin with "impact N: ". All other warnings are kept unchanged, once.
+    Warnings of an impact begin with "impact N: ". Each other warning appears once, unchanged.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):

@@ -1,4 +1,4 @@
-"""The verdict on a particle: whether it sticks, and the share of the powder that stays. SI units."""
+"""The verdict on a particle: whether it sticks to the target; and the share of the powder that stays. SI units."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ SCATTER = 0.5
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict "sticks", "rebounds" or "undecided", with its reasons. rests_on: values that decide; by: one of
+    """The verdict "sticks", "rebounds" or "undecided", with its reasons. rests_on: values that decide it; by: method, one of
     `measures.VERDICT_BY`.
 
     rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals,
@@ -42,8 +42,8 @@ class Verdict:
 
 
 def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
-    """The verdict on a particle at the end of its impact. mass kg; upwards m/s: velocity of its centre normal to the surface;
-    bonds: of the particle, None if nothing bonded."""
+    """The verdict on a particle at the end of its impact. mass (kg); upwards (m/s): velocity of its centre normal to the surface;
+    bonds: bonds of the particle, None if nothing bonded."""
     if law.in_impact:
         decided = _by_bonds(mass, upwards, bonds)
         scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
@@ -60,7 +60,7 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds:
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
-    """The verdict of computed bonds after comparison with the formula: undecided if they differ. rests_on gives both."""
+    """The verdict of the computed bonds, compared with the formula. It is undecided if the two differ. `rests_on` gives both."""
     formula, bonds = impact.formula, decided.verdict
     words = formula.words(impact.towards)
     if formula.critical is None or bonds == UNDECIDED:
@@ -74,12 +74,14 @@ def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
 
 
 def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
-    """Whether a particle sticks by the scene or by its velocity, independent of its motion at the end of the impact."""
+    """Whether a particle sticks because the scene ties it or because of its impact velocity, whatever its motion at the end of the
+    impact."""
     return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
 def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
-    """The verdict of the bonds computed in the impact: the energy that they can still absorb against the energy left to break them."""
+    """The verdict of the bonds computed in the impact: the energy that the bonds can still absorb is compared with the energy that
+    can still break them."""
     whole = 0 if bonds is None else int(np.count_nonzero(~bonds.bond.broken))
     if bonds is None or whole == 0:
         return _unheld("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
@@ -103,8 +105,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """The verdict of the formula, from the normal velocity over the critical velocities. The ratio for the particle's own metal
-    decides whether the scene ties the particle."""
+    """The verdict of the formula, from the ratios of the normal velocity to the critical velocities. The ratio for the particle's own
+    metal decides whether the scene ties the particle."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)
@@ -118,7 +120,7 @@ def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float)
 
 
 def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
-    """The verdict on a particle that no bond holds: it rebounds if it is faster than REBOUND, else it is undecided."""
+    """The verdict on a particle without bonds: "rebounds" if it is faster than REBOUND, else "undecided"."""
     if upwards <= REBOUND:
         return Verdict(UNDECIDED, f"{reason}, and it does not move off ({upwards:.2g} m/s)", by)
     words, energy = f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2
@@ -128,11 +130,11 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 def verdict_values(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False
 ) -> Values:
-    """Values of the verdict in the record of a finished impact.
+    """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case. rebound_velocity_m_s: velocity of the
-    centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact
-    over velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case. rebound_velocity_m_s: velocity of the centre
+    of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact divided
+    by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
     verdict_by_bonds: of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that still
     holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
@@ -160,10 +162,10 @@ def verdict_values(
 
 
 def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
-    """Smallest and largest deposition efficiency, mass that stayed over mass of all particles, from the records of their impacts.
-    Undecided particles count as lost in the first, as staying in the second.
+    """Smallest and largest deposition efficiency (mass that stayed divided by the mass of all particles), from the records of the
+    impacts. Undecided particles count as lost for the smallest value, as staying for the largest.
 
-    detached_mass_kg of a record: mass of its splat that has come off, which is lost in both.
+    A record can have the key detached_mass_kg: mass that has come off its splat. This mass is lost for both values.
     """
     mass = sum(record["particle_mass_kg"] for record in records)
     decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}

@@ -1,4 +1,4 @@
-"""The surface of the undeformed body, carried along by the motion of the points.
+"""The surface of the undeformed particle, which moves with the points ("carried surface").
 
 Contact, measures and figures of the particle use it. Each vertex of the undeformed surface is a fixed linear combination of nearby
 points (linear moving least squares in the reference configuration). The deformed surface is exact for any affine motion, and lies
@@ -61,7 +61,8 @@ class CarriedSurface:
         return times_rows(self.weights, x)
 
     def contacts(self, x: np.ndarray) -> np.ndarray:
-        """Positions or velocities (k+n,3) of the contact nodes: first the vertices, then the points. x (n,3): of the points."""
+        """Positions or velocities (k+n,3) of the contact nodes: first the vertices, then the points. x (n,3): positions or velocities
+        of the points."""
         return times_rows(self.touching, x)
 
     def moving_contacts(
@@ -76,8 +77,8 @@ class CarriedSurface:
         k.spread(rows, *self._touching, forces, out)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Sums (k,) at the vertices of values (k+n,) at `contacts`, such as forces: own value plus shares of the points under a
-        vertex."""
+        """Sums (k,) of values (k+n,) of the contact nodes, such as forces, at each vertex: the value of the vertex plus shares of the
+        values of the points under it."""
         vertices = len(self.weights.indptr) - 1
         return values[:vertices] + self.under @ values[vertices:]
 
@@ -91,7 +92,8 @@ class CarriedSurface:
         return heat[vertices:] + self._from_vertices @ heat[:vertices]
 
     def softness(self, mass: np.ndarray) -> float:
-        """Largest inverse effective mass of a contact node, sum of weight^2 / mass, 1/kg. mass (n,) kg: of the points."""
+        """Largest inverse effective mass of a contact node, which is its sum of weight^2 / mass, 1/kg. mass (n,) kg: masses of the
+        points."""
         return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
 
     def values(self, field: np.ndarray) -> np.ndarray:

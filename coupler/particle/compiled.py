@@ -66,8 +66,8 @@ class CompiledParticle(Particle):
         self._heat, self._failed = np.zeros(self.n), np.full(PARTS, -1)
 
     def _list_neighbours(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """List the sides of each point, in the order of the points' numbers in the whole particle. Returns points, r0, w and W of
-        the pairs (`model.Pairs`), in the same order."""
+        """List the neighbours of each point, in the order of the points' numbers in the whole particle. Returns points, r0, w and W
+        of the pairs (`model.Pairs`) in the same order."""
         n, X, tag, h = self.n, self._motion.X, self._tag, self._scheme.h
         pairs = cKDTree(X).query_pairs(1.12 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
         pairs = pairs[(pairs < n).any(axis=1)]
@@ -104,11 +104,11 @@ class CompiledParticle(Particle):
         return w[:, None] * np.einsum("kij,kj->ki", K_inverse[self._point], d)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
-        """Mask (k,) of the pairs (k,2) of rows, at distances r0 (k,) m, that interact."""
+        """Mask (k,) of the pairs (k,2) of rows that interact, from their distances r0 (k,) m."""
         return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
-        """List the rows that each rank gets and sends between the passes."""
+        """List the rows that each rank receives and sends between the two passes."""
         self._sends, self._receives = _by_rank([]), _by_rank([])
         if self.comm.size == 1:
             return
@@ -168,7 +168,8 @@ class CompiledParticle(Particle):
         together(k.forces_of_all, self.n, (*of_pairs, self._force), of_sum)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """`Particle.run`. The plastic strain of the chunk of steps adds to its gradient, if the gradient hardens the metal."""
+        """As `Particle.run`. If the gradient of plastic strain hardens the metal, the plastic strain of the chunk of steps is added
+        to the gradient."""
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
@@ -194,7 +195,7 @@ class CompiledParticle(Particle):
             self.warm(self._heat)
 
     def _skip_step(self) -> None:
-        """Exchange the data that pass 2 needs of points on other ranks."""
+        """Exchange the data that pass 2 of other ranks needs, in a step without pass 2 on this rank."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
 
@@ -239,5 +240,5 @@ class CompiledParticle(Particle):
 
 
 def _by_rank(rows: Sequence[np.ndarray]) -> RowsOfRanks:
-    """Pairs of a rank and its rows, for ranks that have rows. rows: of each rank."""
+    """Pairs of a rank and its rows, only for ranks that have rows. rows: rows of each rank."""
     return [(rank, own) for rank, own in enumerate(rows) if len(own)]

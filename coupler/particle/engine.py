@@ -1,4 +1,4 @@
-"""The engines of a particle, by their names in scenes."""
+"""The numerical schemes ("engines") of a particle, by their names in scenes."""
 
 from .compiled import CompiledParticle
 from .enriched import EnrichedParticle
@@ -13,5 +13,6 @@ ENGINES: dict[str, type[Particle]] = {
 
 
 def engine(name: str, numerics: Numerics) -> type[Particle]:
-    """The particle class of an engine. With hourglass control (`numerics.control`) the enriched engine is the compiled one."""
+    """The particle class of an engine. If hourglass control is requested (`numerics.control`), the enriched engine is replaced by the
+    compiled one."""
     return CompiledParticle if name == "enriched" and numerics.control else ENGINES[name]

@@ -1,5 +1,5 @@
-"""The particle with sub-cell deformation: the part of the motion of neighbours that F does not describe is elastic and plastic as
-the metal.
+"""The enriched particle scheme. It gives an elastic and plastic response to the part of the neighbours' motion that F does not
+describe (sub-cell deformation).
 
 Two changes to the scheme of `particle.compiled` replace its hourglass control:
 
@@ -44,9 +44,9 @@ SYMMETRIC = 1e-6  # relative third moment of the neighbours: a point with a larg
 
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
-    """Points of an `EnrichedParticle`. unseen (n,) J/m3: elastic energy of the residuals; bend (n, 3 MOST_SIDES) m: their plastic
-    parts, in the order of the neighbours' numbers, written by `state`; mode (n,3) s: mode of the highest frequency, its norm is the
-    step at which it becomes unstable."""
+    """Points of an `EnrichedParticle`. unseen (n,) J/m3: elastic energy of the residuals; bend (n, 3 MOST_SIDES) m: plastic parts of
+    the residuals, in the order of the neighbours' numbers, written by `state`; mode (n,3) s: mode of the highest frequency; its norm
+    is the time step at which this mode becomes unstable."""
 
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
@@ -54,7 +54,8 @@ class EnrichedPoints(CompiledPoints):
 
 
 class EnrichedParticle(CompiledParticle):
-    """A particle with residuals, and with quadratic fits of gradients at the rim (see the module)."""
+    """A particle whose scheme has residuals in place of hourglass control, and quadratic fits of gradients at the rim (see the
+    module)."""
 
     POINTS = EnrichedPoints
     points: EnrichedPoints
@@ -131,7 +132,7 @@ class EnrichedParticle(CompiledParticle):
     def stable_dt(self) -> float:
         """Largest stable time step in s, from the highest frequency of the points (`particle.frequency`).
 
-        Raises SolverError as `Particle.stable_dt`.
+        Raises SolverError under the conditions of `Particle.stable_dt`.
         """
         # all ranks take part in the iteration, before one of them can raise
         if self.numerics.inertia > 0.0:
@@ -155,7 +156,8 @@ class EnrichedParticle(CompiledParticle):
 
 
 def _one_sided(X: np.ndarray, h: float) -> np.ndarray:
-    """Mask (n,) of the points X (n,3) m at the rim: the third moment of their neighbours within h m does not vanish."""
+    """Mask (n,) of the points X (n,3) m at the rim of the body, where the third moment of the neighbours within h m does not
+    vanish."""
     pairs = cKDTree(X).query_pairs(h, output_type="ndarray")
     d = (X[pairs[:, 1]] - X[pairs[:, 0]]) / h
     weight = (1.0 - np.sqrt((d * d).sum(axis=1))) ** 2

@@ -27,7 +27,8 @@ LEAST = 11  # smallest number of points in the fit of a gradient, including the 
 
 
 class PointConduction:
-    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing m; volume (n,) m3; law (1,): LAW record."""
+    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing (m); volume (n,) m3; law (1,): LAW
+    record."""
 
     def __init__(self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray):
         n, near = len(X), points_near(cKDTree(X), X, k.SUPPORT * spacing, LEAST, LEAST)

@@ -1,4 +1,5 @@
-"""The particle with MACHDYN's own pair style; yield stress and energy of each point carry the constitutive law (`particle.law`)."""
+"""The particle with MACHDYN's own pair style. The yield stress and the energy of each point carry the constitutive law into it
+(`particle.law`)."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -20,7 +21,8 @@ class MachdynPoints(PointState):
 
 
 class MachdynParticle(Particle):
-    """LAMMPS computes deformation, stress and internal forces (`pair_style smd/tlsph`); the law prescribes the next step."""
+    """A particle whose deformation, stress and internal forces are computed by LAMMPS (`pair_style smd/tlsph`); the constitutive law
+    prescribes yield stress and energy of the next step."""
 
     PAIR = "pair_machdyn.lmp"
     POINTS = MachdynPoints

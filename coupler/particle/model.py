@@ -1,4 +1,5 @@
-"""Arrays of a particle, as arguments of its kernels. n: points of this rank; N: these and copies of neighbours on other ranks.
+"""Arrays of a particle, as arguments of its kernels. n: number of points of this rank; N: number of these points and of copies of
+neighbours on other ranks.
 
 The letters are those of the equations in `particle.compiled_kernels`. A side is one point of a pair with the other as its
 neighbour: each pair has two sides. SI units.
@@ -10,8 +11,9 @@ from ..core.arrays import Floats, Ints
 
 
 class Scheme(NamedTuple):
-    """Constants. V m3, rho kg/m3: of each point; h m: radius of the kernel; c m/s: longitudinal wave speed; E Pa: Young's modulus;
-    H Pa: modulus of the linear hardening by which LAMMPS stores the yield stress; Q1, Q2, hourglass: coefficients of MACHDYN."""
+    """Constants of the scheme. V (m3), rho (kg/m3): volume and density of each point; h (m): radius of the kernel; c (m/s):
+    longitudinal wave speed; E (Pa): Young's modulus; H (Pa): modulus of the linear hardening by which LAMMPS stores the yield stress;
+    Q1, Q2, hourglass: coefficients of MACHDYN."""
 
     V: float
     rho: float
@@ -25,8 +27,8 @@ class Scheme(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Neighbours of the points: point i has the rows first[i] to first[i + 1] of arrays (sides,), first (n+1,). neighbour: number
-    of the neighbour; pair: row of the pair, ~row if i is its second point; w 1/m5: W'/r; gradient (sides,3) 1/m: g."""
+    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] of the arrays (sides,); first (n+1,). neighbour: number
+    of the neighbour; pair: row of the pair, ~row if i is the second point of the pair; w (1/m5): W'/r; gradient (sides,3) 1/m: g."""
 
     first: Ints
     neighbour: Ints
@@ -48,7 +50,7 @@ class Pairs(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Arrays (N,3): reference positions X m; positions x m and velocities v m/s at n+1; velocities v_half m/s at n+1/2."""
+    """Arrays (N,3): reference positions X (m); positions x (m) and velocities v (m/s) at n+1; velocities v_half (m/s) at n+1/2."""
 
     X: Floats
     x: Floats
@@ -67,8 +69,8 @@ class Deformation(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of the law at n points. sigma_y Pa; eps_p; rate 1/s; T K; J; p Pa; energy and plastic work, J per reference m3; stress
-    (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz; eps_gradient (n,3) 1/m."""
+    """State of the law at n points. sigma_y (Pa); eps_p; rate (1/s); T (K); J; p (Pa); energy and plastic work (J per reference m3);
+    stress (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz; eps_gradient (n,3) 1/m."""
 
     stress: Floats
     sigma_y: Floats
@@ -83,7 +85,7 @@ class State(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Losses of m pairs; columns: viscosity, hourglass control. strength (m,2) N/m: force over distance in the last step, zero
+    """Losses of m pairs; columns: viscosity, hourglass control. strength (m,2) N/m: force divided by distance in the last step, zero
     before the first step of a chunk; work (m,2) J: energy dissipated in the chunk."""
 
     strength: Floats
@@ -91,8 +93,8 @@ class Losses(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Residuals of sides. plastic (sides,3) m: e_p; force (s,3) N: of own sides, then of sides of other ranks; unseen (n,) J/m3:
-    elastic energy."""
+    """Residuals of sides. plastic (sides,3) m: e_p; force (s,3) N: force of own sides, then of sides of other ranks; unseen (n,)
+    J/m3: elastic energy."""
 
     plastic: Floats
     force: Floats

@@ -14,7 +14,8 @@ MOMENT = 0.0787451
 
 
 def lattice(spacing: float, half: Sequence[float], offset: Sequence[float]) -> np.ndarray:
-    """Points (k,3) m of the lattice, one per spacing^3, in a box of half extents `half` m. offset: in edges of the unit cell."""
+    """Points (k,3) m of the lattice in a box with half extents `half` (m). Each point has the volume spacing^3. offset: shift of the
+    lattice, in edges of the unit cell."""
     edge = EDGE * spacing
     axes = [np.arange(-count, count) for count in np.ceil(np.asarray(half) / edge).astype(int) + 1]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
@@ -24,8 +25,8 @@ def lattice(spacing: float, half: Sequence[float], offset: Sequence[float]) -> n
 def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
     """About `points` points of the lattice inside a sphere around the origin.
 
-    Returns positions (n,3) m, and the volume of each point (m3), which is the volume of the sphere over n. No lattice point lies at
-    the centre: this makes the outermost shell more even.
+    Returns positions (n,3) m, and the volume of each point (m3), which is the volume of the sphere divided by n. No lattice point
+    lies at the centre: this makes the outermost shell more even.
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
@@ -44,10 +45,10 @@ def fill(
 ) -> tuple[np.ndarray, float]:
     """About `points` points of the lattice inside a body, with their mean at the origin. Returns the same as `sphere`.
 
-    inside: function of positions (k,3) m, returns (k,) bool; half: half extents of the body, m; volume: of the body, m3, divided
-    equally among the points; flat: axes along which the body ends in flat faces. The best of several lattice constants and offsets
-    is chosen: volume and second moments of the points with their cells are closest to those of the body, and outermost layers lie
-    half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are removed: their deformation gradient is
+    inside: function of positions (k,3) m, returns (k,) bool; half: half extents of the body, m; volume: volume of the body, m3,
+    divided equally among the points; flat: axes along which the body ends in flat faces. The best of several lattice constants and
+    offsets is chosen: volume and second moments of the points with their cells are closest to those of the body, and outermost layers
+    lie half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are removed: their deformation gradient is
     undefined.
     """
     moments = _second_moments(inside, half)

@@ -1,7 +1,8 @@
 """The impacting particle: total-Lagrangian SPH. LAMMPS stores and integrates its points and divides them among ranks.
 
-`fix external` calls back between the pair forces and the kick of LAMMPS, with positions at n+1 and velocities at n+1/2. There an engine
-(`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and internal forces, and the coupler writes `f_ext`.
+In each step LAMMPS calls back (`fix external`) between its pair forces and its velocity update, with positions at n+1 and velocities
+at n+1/2. In this callback an engine (`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and internal
+forces, and the coupler writes `f_ext`.
 """
 
 from abc import ABC, abstractmethod
@@ -31,12 +32,12 @@ from .start import H, silence, start
 class Numerics:
     """Parameters of the numerical scheme.
 
-    kernel_radius: smoothing radius over spacing: 0.75 includes the 12 nearest neighbours of a face-centred cubic lattice, 0.9
-    includes 18 and converges more slowly; Q1, Q2: linear and quadratic viscosity; hourglass: amplitude of hourglass control;
-    control: 1 for hourglass control in place of residuals; courant, stretch: bounds on c dt / dx, the second one over the smallest
-    principal stretch; frequency: step of the enriched scheme over the limit of its highest frequency; inertia: step, in spacings
-    over the speed of sound, with which crushed cells of the enriched scheme shall be stable (`particle.inertia`), 0: no added
-    inertia.
+    kernel_radius: smoothing radius divided by spacing: 0.75 includes the 12 nearest neighbours of a face-centred cubic lattice, 0.9
+    includes 18 and converges more slowly; Q1, Q2: linear and quadratic viscosity; hourglass: amplitude of hourglass control; control:
+    1 for hourglass control in place of residuals; courant, stretch: bounds on c dt / dx, the second one divided by the smallest
+    principal stretch; frequency: time step of the enriched scheme divided by the limit of its highest frequency; inertia: time step
+    with which crushed cells of the enriched scheme are made stable (`particle.inertia`), as a multiple of spacing divided by the
+    speed of sound; 0: no added inertia.
     """
 
     kernel_radius: float = 0.75
@@ -54,9 +55,9 @@ class Numerics:
 class PointState(MetalState):
     """State of n points with any engine: a new particle with this state continues with the same numbers.
 
-    lammps=True: arrays that LAMMPS stores and integrates, by its names: x m, v and vest m/s, f N, esph J/kg ... State of the law:
-    rate 1/s; sigma_y Pa; J: volume ratio; p Pa; energy, plastic work: J per reference m3. f_old N: internal forces of the last
-    step. Engines add further arrays.
+    Arrays with lammps=True are stored and integrated by LAMMPS and have its names: x (m), v and vest (m/s), f (N), esph (J/kg) ...
+    State of the law: rate (1/s); sigma_y (Pa); J: volume ratio; p (Pa); energy, plastic work: J per reference m3. f_old (N): internal
+    forces of the last step. Engines add further arrays.
     """
 
     x: Annotated[np.ndarray, Rows(3, lammps=True)]
@@ -83,7 +84,7 @@ class PointState(MetalState):
 
 @dataclass(eq=False)
 class LocalState:
-    """State of the points of one rank. internal_work J; time s; steps: number since the start; dt s.
+    """State of the points of one rank. internal_work (J); time (s); steps: number since the start; dt (s).
 
     sums (4,) J: plastic work, heat that makes pressure, losses by viscosity, losses by hourglass control; the losses are zero with
     an engine that does not measure them.
@@ -99,9 +100,9 @@ class LocalState:
 
 @dataclass(frozen=True)
 class PointTotals:
-    """Totals of points for the ledger and the time step. dt s: stable time step; stretch_min: smallest principal stretch; fastest
-    m/s: largest speed; momentum (3,) kg m/s; all others: energies, J. viscosity and hourglass are losses, zero with an engine that
-    does not measure them."""
+    """Totals of points for the ledger and the time step. dt (s): stable time step; stretch_min: smallest principal stretch; fastest
+    (m/s): largest speed; momentum (3,) kg m/s; all others: energies, J. viscosity and hourglass are losses, zero with an engine
+    that does not measure them."""
 
     dt: float
     stretch_min: float
@@ -150,10 +151,9 @@ class Particle(LocalState, ABC):
         log: Path | None = None,
         strain: float = 0.0,
     ):
-        """points (n,3) m: positions; volume m3: of each point; law (1,): LAW record; velocity m/s: (3,), or (n,3) for each point;
-        temperature K; comm: communicator of the ranks that share the particle, in slabs along x with equal numbers of points; log:
-        log file of LAMMPS; strain: initial plastic strain.
-        """
+        """points (n,3) m: positions; volume (m3): volume of each point; law (1,): LAW record; velocity (m/s): (3,), or (n,3) for each
+        point; temperature (K); comm: communicator of the ranks that share the particle, in slabs along x with equal numbers of
+        points; log: log file of LAMMPS; strain: initial plastic strain."""
         self.numerics = numerics or Numerics()
         self.law, self._special, self.initial_strain = law, specialised(law), strain
         self.X = np.ascontiguousarray(points, float)
@@ -262,7 +262,7 @@ class Particle(LocalState, ABC):
 
     @abstractmethod
     def _update_stress(self) -> None:
-        """Update the state of the law to n+1 and write the internal forces to f. Raises SolverError where a point fails."""
+        """Update the state of the law to n+1 and write the internal forces to f. Raises SolverError if a point fails."""
 
     @abstractmethod
     def _strain(self) -> np.ndarray:
@@ -277,11 +277,11 @@ class Particle(LocalState, ABC):
         return
 
     def _add_inertia(self) -> None:
-        """Change the internal forces f, after f_ext is known, for cells with added inertia; called after a failure too."""
+        """Change the internal forces f of cells with added inertia, after f_ext is known. It is called after a failure too."""
         return
 
     def _skip_step(self) -> None:
-        """Send the data that other ranks need in a step after a failure here; LAMMPS sends its own data."""
+        """Send the data that other ranks need, in a step after a failure on this rank. LAMMPS sends its own data."""
         return
 
     def _start_engine(self) -> None:
@@ -304,7 +304,7 @@ class Particle(LocalState, ABC):
         return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
 
     def _failure(self, reason: str, point: int | None = None) -> str:
-        """Error message with time and place. point: the point that fails, the subject of the reason."""
+        """Error message with time and place. point: the point that has failed, which is the subject of the sentence `reason`."""
         place = ""
         if point is not None and point >= 0:
             x, y, z = self.points.x[point] * 1e6
@@ -312,7 +312,7 @@ class Particle(LocalState, ABC):
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try a finer preset"
 
     def _recoverable(self, stored: float) -> float:
-        """Recoverable part (J) of the stored energy of the stresses (J): without the part due to heat."""
+        """Part (J) of the stored energy of the stresses (J) that can be recovered: without the part due to heat."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
@@ -333,7 +333,7 @@ class Particle(LocalState, ABC):
         )  # fmt: skip
 
     def get(self, name: str) -> object:
-        """An attribute or a field of these points by name, or "stress"; arrays are copied."""
+        """An attribute or a field of these points by name, or "stress". Arrays are copied."""
         value = self.stress() if name == "stress" else (vars(self) | arrays_of(self.points))[name]
         return np.array(value) if isinstance(value, np.ndarray) else value
 

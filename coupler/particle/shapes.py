@@ -19,9 +19,9 @@ _RING = 0.87  # distance between rings over the edges along them, for nearly equ
 class Body:
     """A solid of uniform points around the origin. SI units.
 
-    points (n,3); volume: of each point, the volume of the body over n; vertices (k,3), triangles (m,3): closed outer surface,
-    normals outwards; area: of this surface; half_height: depth of the lowest vertex below the centre; inner: vertices and triangles
-    of the surface of a cavity, normals into the cavity, or None.
+    points (n,3); volume: volume of each point, which is the volume of the body divided by n; vertices (k,3), triangles (m,3): closed
+    outer surface, normals outwards; area: of this surface; half_height: depth of the lowest vertex below the centre; inner: vertices
+    and triangles of the surface of a cavity, normals into the cavity, or None.
     """
 
     points: np.ndarray
@@ -41,7 +41,7 @@ class Body:
 def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
     """A body of a shape in `physics.shapes.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
-    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface over the spacing of the points.
+    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface divided by the spacing of the points.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
@@ -170,7 +170,7 @@ def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.nda
 
 
 def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> list[tuple[int, int, int]]:
-    """Triangles between two rings of vertices at the angles phi_u and phi_l, in order of angle."""
+    """Triangles between two rings of vertices at the angles phi_u and phi_l, in the order of the angle."""
     nu, nl = len(upper), len(lower)
     if nu == 1:
         return [(upper[0], lower[j], lower[(j + 1) % nl]) for j in range(nl)]

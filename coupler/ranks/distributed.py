@@ -1,4 +1,4 @@
-"""The particle on the root, the rank of the target: all its points, which other ranks compute."""
+"""All points of the particle on the root rank, which computes the target. Other ranks compute the points."""
 
 import time as clock
 from collections.abc import Callable, Sequence
@@ -16,7 +16,8 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class ParticleState:
-    """whole: all points as on a single rank, in the order in which they were given. totals: sums over all ranks."""
+    """State of the whole particle. whole: all points as on a single rank, in the order in which they were given. totals: sums over
+    all ranks."""
 
     whole: LocalState
     totals: PointTotals
@@ -25,9 +26,9 @@ class ParticleState:
 class DistributedParticle:
     """The particle on the root: all its points, on one rank or on several. It has the attributes of `particle.particle.Particle`.
 
-    x, v, f_ext (n,3): of all points, in the order in which they were given. Within a chunk of steps x and v are updated only at points
-    that may be in contact. All others, and totals, are from the end of the last chunk. dt s; steps. waited: time, s, for which this
-    rank has waited for others in steps.
+    x, v, f_ext (n,3): arrays of all points, in the order in which they were given. Within a chunk of steps x and v are updated only
+    at points that may be in contact. All other points, and totals, have the values at the end of the last chunk. dt (s); steps.
+    waited: time (s) for which this rank has waited for other ranks in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
@@ -51,7 +52,7 @@ class DistributedParticle:
 
     @property
     def _part(self) -> Particle:
-        """The particle, in one process."""
+        """The particle's part on this rank, which in one process is the whole particle."""
         assert self.local is not None, "this rank has no points"
         return self.local
 
@@ -127,7 +128,7 @@ class DistributedParticle:
         return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), self.totals)
 
     def restore(self, state: ParticleState) -> None:
-        """Set new parts, on any number of ranks, to a state. Raises CheckpointError if it does not fit."""
+        """Set new parts of the particle, on any number of ranks, to a state. Raises CheckpointError if the state does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.steps, self.dt = state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS computes its strains in the next step
@@ -202,13 +203,14 @@ class DistributedParticle:
                 raise answers[rank]
 
     def _try(self, work: Callable[[], None]) -> bool:
-        """Call work() unless an error has occurred. Returns whether there is an error: the other ranks wait for this answer."""
+        """Call work() unless an error has occurred before. Returns whether there is an error now; the other ranks wait for this
+        answer."""
         if self.failure is None:
             self.failure = caught(work)
         return self.failure is not None
 
     def idle(self, loop: float) -> list[float]:
-        """Time for which each rank has waited for others in steps, over `loop` s, by rank. Empty in one process."""
+        """Time, for each rank, that it has waited for others in steps, divided by the time `loop` (s). Empty in one process."""
         if self._alone:
             return []
         r = self.ranks

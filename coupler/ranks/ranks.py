@@ -39,7 +39,7 @@ class Ranks:
 
     @property
     def root(self) -> int:
-        """The last rank, which computes the target."""
+        """Number of the last rank, which computes the target."""
         return self.size - 1
 
     @property
@@ -75,15 +75,16 @@ class RemoteFailure(SolverError):
 
 
 def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str, float]) -> None:
-    """On the root: make the other ranks build their parts of the particle of impact i. place (3,) m: its centre. numerics: changed
-    fields of `particle.particle.Numerics`, as after a retry, by name."""
+    """Called on the root: make the other ranks build their parts of the particle of impact i. place (3,) m: centre of the particle.
+    numerics: changed fields of `particle.particle.Numerics` by name, as after a retry."""
     if ranks.size > 1:
         ranks.comm.bcast(("impact", (i, place, dict(numerics)), None), root=ranks.root)
 
 
 @contextmanager
 def leading(ranks: Ranks) -> Iterator[None]:
-    """Context on the root in which the other ranks `serve`. At its end they stop, and raise the error that ended the run, if any.
+    """Context manager on the root, in which the other ranks `serve`. At its end the other ranks stop, and raise the error that ended
+    the run, if there is one.
 
     An unexpected error, one that is not a ColdsprayError or an interrupt, ends all ranks.
     """
@@ -178,15 +179,15 @@ class _Worker:
 
 
 def attempt(worker: _Worker, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
-    """Call a method of a rank's part of the particle, or `run_steps` of the worker. each: one more argument for each rank. Returns the
-    result or the error."""
+    """Call a method of a rank's part of the particle, or `run_steps` of the worker. each: one more argument, different for each rank.
+    Returns the result or the error."""
     if each is not None:
         arguments = (*arguments, each[worker.ranks.rank])
     return caught(lambda: getattr(worker if method == "run_steps" else worker.local, method)(*arguments))
 
 
 def caught(work: Callable[[], R]) -> R | BaseException:
-    """The result of work(), or the error it raised, in a form that can be sent to another rank."""
+    """Call work() and return its result, or the error that it raised in a form that can be sent to another rank."""
     try:
         return work()
     except (ColdsprayError, KeyboardInterrupt) as error:
