@@ -53,8 +53,8 @@ class PairFormula:
     """Schmidt's formula for a particle on a target. The formula is fitted to particles on a target of the same metal. Therefore it is
     evaluated for both metals, at the temperature and diameter of the particle, and is decisive if both results agree.
 
-    metal, base: names of the metals of particle and target; base "": not given. critical, base_critical m/s: their critical velocities;
-    None: the metal has no tensile strength.
+    metal, base: names of the metals of particle and target; base "": not given. critical, base_critical (m/s): their critical
+    velocities; None: the metal has no tensile strength.
     """
 
     metal: str
@@ -64,24 +64,25 @@ class PairFormula:
 
     @property
     def known(self) -> dict[str, float]:
-        """Known critical velocities, m/s, by metal, the particle's metal first."""
+        """The critical velocities, m/s, that are known, by metal; the particle's metal comes first."""
         return {n: v for n, v in ((self.metal, self.critical), (self.base, self.base_critical)) if v is not None}
 
     def verdict(self, velocity: float, threshold: float = 1.0) -> str:
-        """STICKS, REBOUNDS or UNDECIDED at a velocity (m/s) normal to the surface. threshold: factor on the critical velocities."""
+        """STICKS, REBOUNDS or UNDECIDED at a velocity (m/s) normal to the surface. threshold: factor by which the critical velocities
+        are multiplied."""
         if self.critical is None:
             return UNDECIDED
         reached = {velocity >= threshold * critical for critical in self.known.values()}
         return UNDECIDED if len(reached) > 1 else STICKS if True in reached else REBOUNDS
 
     def margin(self, velocity: float, threshold: float = 1.0) -> float | None:
-        """Distance, m/s, to the critical velocities: positive above the highest one if the particle sticks, negative below the lowest
-        one if it rebounds, None if undecided."""
+        """Difference, m/s, between a velocity and the critical velocities: positive above the highest one if the particle sticks,
+        negative below the lowest one if it rebounds; None if the verdict is undecided."""
         verdict, limits = self.verdict(velocity, threshold), [threshold * v for v in self.known.values()]
         return None if verdict == UNDECIDED else velocity - (max(limits) if verdict == STICKS else min(limits))
 
     def words(self, velocity: float | None = None, threshold: float = 1.0) -> str:
-        """The formula as a sentence without its verdict: metals considered, velocity (m/s) and critical velocities."""
+        """A sentence about the formula, without its verdict: metals considered, velocity (m/s) and critical velocities."""
         if self.critical is None:
             return f"no formula: {self.metal} has no tensile strength (sigma_TS)"
         head = "Schmidt's formula"
@@ -167,8 +168,8 @@ def ligament_bonds(
     Blunt & Bannister (1989), Acta Metall. 37, 1847, measured factors of 1.6 to 6.
 
     sound: f (n,), `sound_fraction`; width: w (n,) m, `ligament_width`; opposite: c' (n,), clean fraction of the other surface;
-    strength: sigma_0 (n,) Pa; stiffness Pa/m: of the springs, whose traction is limited to the value at an opening of w c'. Returns the
-    arguments of `contact.bond.Bond`.
+    strength: sigma_0 (n,) Pa; stiffness Pa/m: stiffness of the springs, whose traction is limited to the value at an opening of w c'.
+    Returns the arguments of `contact.bond.Bond`.
     """
     welded, width = sound * opposite, width * opposite
     most = 0.999 * stiffness * width
@@ -262,7 +263,7 @@ class Adhesion:
             raise SceneError(problems, "adhesion")
 
     def between(self, first: str, second: str) -> "Adhesion":
-        """The adhesion of two metals: the law of their pair if there is one, otherwise the law for all metals."""
+        """The adhesion between two metals: the law of this pair if there is one, otherwise the law for all metals."""
         for pair in self.pairs:
             if set(pair.metals) == {first, second}:
                 own = {name: value for name in LAW if (value := vars(pair)[name]) is not None}
@@ -275,8 +276,9 @@ class Adhesion:
     ) -> np.ndarray:  # fmt: skip
         """Mask (nodes,) of the bonded nodes of an interface, by the criterion.
 
-        plastic_strain, pressure (nodes,): at the interface; the caller takes the larger value of both sides, or the maximum over time.
-        velocity_ratio: impact velocity over critical velocity. Raises ValueError if the value that the criterion needs is missing.
+        plastic_strain, pressure (nodes,): at the interface; the caller takes the larger value of both sides, or the maximum over
+        time. velocity_ratio: impact velocity divided by critical velocity. Raises ValueError if the value that the criterion needs is
+        missing.
         """
         if self.kind == "none" or self.criterion == "all":
             return np.full(nodes, self.kind != "none")
@@ -287,7 +289,7 @@ class Adhesion:
 
     @property
     def limit(self) -> float:
-        """Threshold of the criterion; default 1, the default of the velocity ratio."""
+        """Threshold of the criterion. The default is 1, which is meant for the velocity ratio."""
         return 1.0 if self.threshold is None else self.threshold
 
     @property
@@ -322,7 +324,8 @@ class Adhesion:
         return f"{text}, {where[self.criterion]}{own}"
 
     def law(self) -> dict[str, float]:
-        """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; empty for tied nodes, the default of `Bond`."""
+        """Strengths (Pa) and energies (J/m2) as arguments of `contact.bond.Bond`; empty for tied nodes, because `Bond` is tied by
+        default."""
         return {name: float(value) for name in LAW if (value := vars(self)[name]) is not None}
 
     def law_on(self, metal: str, others: Sequence[str]) -> dict[str, np.ndarray]:

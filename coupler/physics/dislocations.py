@@ -13,7 +13,7 @@ NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47
 
 
 def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, float]:
-    """Coefficients A and B, Pa, of Taylor's relation. G Pa; burgers m; alpha: Taylor's coefficient at TAYLOR_DENSITY.
+    """Coefficients A and B, Pa, of Taylor's relation. G (Pa); burgers (m); alpha: Taylor's coefficient at TAYLOR_DENSITY.
 
     sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
     (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040).
@@ -24,7 +24,7 @@ def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, floa
 
 
 def stress_of_gradient(forest: tuple[float, float], length: float, eta: float) -> float:
-    """Flow stress, Pa, due to only the dislocations of a gradient of plastic strain, eta (1/m). forest: A and B, Pa; length m:
+    """Flow stress, Pa, due to only the dislocations of a gradient of plastic strain, eta (1/m). forest: A and B, Pa; length (m):
     `Material.gradient_length`. Both are 0 for a metal that gradients do not harden."""
     (A, B), y = forest, math.sqrt(length * eta)
     return y * (A + B * math.log(y)) if y > 0.0 else 0.0

@@ -26,11 +26,11 @@ def read_record(
     kind: type[R], name: str, table: Mapping[str, object], read: Callable[[str, object], object], values: Mapping[str, object],
     hint: str = "", found: Collection[str] = (), lacks: Collection[str] = (),
 ) -> R:  # fmt: skip
-    """A record, a dataclass with a name, from a table of its other fields.
+    """Make a record, which is a dataclass with a name, from a table of its other fields.
 
-    read(field, value): reads a value, raises ValueError with the problem. values: of fields that are missing in the table. hint: text
-    for the message about missing fields. found, lacks: known problems and missing fields of the same table. Raises SceneError with all
-    problems; each begins with the name of the field.
+    read(field, value): reads a value, raises ValueError with the problem. values: values of fields that are missing in the table.
+    hint: text for the message about missing fields. found, lacks: known problems and missing fields of the same table. Raises
+    SceneError with all problems; each begins with the name of the field.
     """
     known = [field.name for field in fields(kind) if field.name != "name"]  # type: ignore[arg-type]
     problems, values = list(found), dict(values)
@@ -51,7 +51,7 @@ def read_record(
 
 
 def refuse(problems: list[str], name: str) -> None:
-    """Raise SceneError if there are problems. name: of the record."""
+    """Raise SceneError if there are problems. name: name of the record."""
     if problems:
         raise SceneError(problems, name)
 

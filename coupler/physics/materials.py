@@ -1,6 +1,7 @@
 """Materials: strength law, shock equation of state and thermal data of a metal, with sources.
 
-The library is `materials.toml`. A scene may add materials or change numbers of the library's materials, in the same form.
+The library is the file `materials.toml`. A scene may add materials, or change numbers of materials in the library, in the same
+format.
 """
 
 import math
@@ -39,12 +40,13 @@ class Number(NamedTuple):
 class Material:
     """A metal: strength law, shock equation of state, thermal data. SI units. None: not known.
 
-    c0, s: of the Hugoniot. cp, k, thermal_expansion (linear): ((T, value), ...), one pair for a constant, or two pairs, linear between
-    them and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities. oxide_thickness, oxide_strength,
-    oxide_threshold: thickness and strength of the native film, and surface exposure at which it cracks (`physics.adhesion`). burgers:
-    Burgers vector. taylor_alpha: coefficient of Taylor's relation at 1e12 dislocations per m2; 0: gradients of plastic strain do not
-    harden the metal (`forest`). D_v, Q_v: factor and activation energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: the
-    same along dislocations, times the area of a core (`physics.recovery`).
+    c0, s: constants of the Hugoniot. cp, k, thermal_expansion (linear): ((T, value), ...), one pair for a constant, or two pairs;
+    values are linear between the pairs and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities.
+    oxide_thickness, oxide_strength, oxide_threshold: thickness and strength of the native oxide film, and surface exposure at which
+    it cracks (`physics.adhesion`). burgers: Burgers vector. taylor_alpha: coefficient of Taylor's relation at 1e12 dislocations per
+    m2; 0: gradients of plastic strain do not harden the metal (`forest`). D_v, Q_v: factor and activation energy (J/mol) of
+    self-diffusion through the lattice. D_c, Q_c: factor and activation energy of diffusion along dislocations; the factor is
+    multiplied by the area of a dislocation core (`physics.recovery`).
     """
 
     name: str
@@ -89,14 +91,14 @@ class Material:
 
     @property
     def forest(self) -> tuple[float, float]:
-        """A and B, Pa, of Taylor's relation (`physics.dislocations`); zero without `taylor_alpha`."""
+        """Constants A and B, Pa, of Taylor's relation (`physics.dislocations`); both are zero if the metal has no `taylor_alpha`."""
         known = self.hardened_by_gradients
         return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if known else (0.0, 0.0)
 
     @property
     def gradient_length(self) -> float:
-        """r b, m: a gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix & Hutchinson (1999),
-        J. Mech. Phys. Solids 47, 1239); zero without `taylor_alpha`."""
+        """The length r b, m. A gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix &
+        Hutchinson (1999), J. Mech. Phys. Solids 47, 1239). It is zero if the metal has no `taylor_alpha`."""
         return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
 
     @property
@@ -116,7 +118,8 @@ class Material:
 
     @property
     def fitted_rate(self) -> float:
-        """Highest strain rate of the fit of the strength law, 1/s; if the source does not state it, a usual rate of Hopkinson bars."""
+        """Highest strain rate of the data to which the strength law is fitted, 1/s. If the source does not state it: a usual rate of
+        Hopkinson bars."""
         rates = self.strength.fitted.rate
         return rates[1] if rates else HOPKINSON_RATE
 
@@ -180,7 +183,8 @@ UNITS = {key: number.unit for key, number in (LIMITS | _OTHER_FIELDS).items()} |
 
 @dataclass(frozen=True)
 class Entry:
-    """A material of the library. material: with its first strength set; sets: tables of all sets by name; aliases: its other names."""
+    """A material of the library. material: the material with its first strength set; sets: tables of all strength sets by name;
+    aliases: its other names."""
 
     material: Material
     sets: Mapping[str, Mapping[str, object]]
@@ -198,7 +202,7 @@ class Entry:
 
     @property
     def materials(self) -> list[Material]:
-        """The material with each of its sets."""
+        """Materials with each of the strength sets, one for each set."""
         return [_with_set(self.material, name, table) for name, table in self.sets.items()]
 
 
@@ -230,7 +234,7 @@ def material(name: str, strength: str = "") -> Material:
 
 
 def fitted_at(metal: Material, rate: float) -> list[str]:
-    """Names of the library's strength sets of a metal whose fit includes a strain rate (1/s)."""
+    """Names of the library's strength sets of a metal whose fitted range includes a strain rate (1/s)."""
     known = _library().get(metal.name)
     ranges = {other.strength.set: other.strength.fitted.rate for other in known.materials} if known else {}
     return [name for name, limits in ranges.items() if limits and limits[1] >= rate]

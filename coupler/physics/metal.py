@@ -1,4 +1,4 @@
-"""State of the metal that is transferred to the next impact: from the points of a particle to the elements of its splat."""
+"""State of the metal that is carried to the next impact: from the points of a particle to the elements of its splat."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -12,9 +12,10 @@ UNKNOWN: Any = None  # value of a field that a cloud of points does not have
 
 @dataclass(frozen=True, kw_only=True)
 class MetalState:
-    """State of n points or elements. eps_p: equivalent plastic strain that hardens; eps_recovered: plastic strain removed by recovery
-    (`physics.recovery`); T K; eps_gradient 1/m: gradient of eps_p (in an impact in the unrotated frame), zero in metals that it does
-    not harden. A new field here is stored, restored, meshed, joined and renumbered without other changes."""
+    """State of n points or elements. eps_p: equivalent plastic strain that hardens the metal; eps_recovered: plastic strain removed
+    by recovery (`physics.recovery`); T (K): temperature; eps_gradient (1/m): gradient of eps_p (in an impact in the unrotated frame),
+    zero in metals that gradients do not harden. A new field in this class is stored, restored, meshed, joined and renumbered without
+    other changes."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN
@@ -28,5 +29,5 @@ class MetalState:
 
 
 def carried(record: MetalState) -> dict[str, np.ndarray]:
-    """The fields of a record that are transferred to the next impact, by name, without unknown fields."""
+    """The fields of a record that are carried to the next impact, by name, without fields that are unknown."""
     return {name: vars(record)[name] for name in rows_of(MetalState) if vars(record)[name] is not None}

@@ -1,4 +1,4 @@
-"""Static recovery: dislocations climb and annihilate in pairs; a metal loses strain hardening with time at high temperature.
+"""Static recovery: a metal loses strain hardening with time at high temperature, because dislocations climb and annihilate in pairs.
 
 d rho/dt = -2 tau_L M rho^2: tau_L = G b^2 / 2 is the line tension, M = D b / (k_B T) the mobility of climb (Lagneborg (1972), Int.
 Metall. Rev. 17, 130; Sandstrom (2012), Acta Mater. 60, 314; second-hand), D = D_v + rho a_c D_c the diffusion coefficient through the

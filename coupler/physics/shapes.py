@@ -5,9 +5,9 @@ The dimensions follow from the diameter of the sphere of equal volume and from t
 
 - sphere.
 - hollow_sphere: a shell whose inner diameter is half the outer one (the paper gives no wall); the volume is that of the metal.
-- oblate: a spheroid, equatorial diameter over thickness 1.67.
-- rod: a cylinder with hemispherical ends, total length over diameter 6.17.
-- flake: a flat disc with a sharp rim, diameter over thickness 2.41.
+- oblate: a spheroid, ratio of equatorial diameter to thickness 1.67.
+- rod: a cylinder with hemispherical ends, ratio of total length to diameter 6.17.
+- flake: a flat disc with a sharp rim, ratio of diameter to thickness 2.41.
 - angular: a cuboctahedron (8 triangles, 6 parallelograms, sharp edges) stretched by 1.31 along one axis.
 
 At tilt 0 the longest axis is along x in the plane of the target, and the shortest axis is normal to the target. A tilt rotates the
@@ -38,8 +38,8 @@ def sphere_volume(diameter: float) -> float:
 
 @dataclass(frozen=True)
 class Form:
-    """One shape in one size. lengths: extents (m) along x, y, z at tilt 0; thinnest: smallest thickness or wall, m; corners: of the
-    polyhedron, or of the convex hull of a file's surface, m; empty for other shapes."""
+    """One shape in one size. lengths: extents (m) along x, y, z at tilt 0; thinnest: smallest thickness of the body or its wall, m;
+    corners (m): corners of the polyhedron, or of the convex hull of a file's surface; empty for other shapes."""
 
     name: str
     lengths: tuple[float, float, float]
@@ -60,11 +60,11 @@ class Form:
         return math.sqrt((a * nx) ** 2 + (b * ny) ** 2 + (c * nz) ** 2)
 
     def height(self, tilt: float = 0.0) -> float:
-        """Extent along z, m, at a tilt (rad)."""
+        """Extent along z, m, if the shape is rotated by a tilt (rad)."""
         return self._extent(-math.sin(tilt), 0.0, math.cos(tilt))
 
     def width(self, tilt: float = 0.0) -> float:
-        """The larger of the extents along x and y, m, at a tilt (rad)."""
+        """The larger of the extents along x and y, m, if the shape is rotated by a tilt (rad)."""
         return max(self._extent(math.cos(tilt), 0.0, math.sin(tilt)), self._extent(0.0, 1.0, 0.0))
 
     def _extent(self, nx: float, ny: float, nz: float) -> float:

@@ -1,4 +1,5 @@
-"""Batches: impacts that are computed in parallel, each on its own sub-domain of the target. They follow only from the plan."""
+"""Batches of impacts that are computed in parallel, each impact on its own sub-domain of the target. The batches follow only from the
+plan."""
 
 import math
 from collections.abc import Sequence
@@ -14,8 +15,8 @@ AHEAD = 96  # number of impacts that the search for a batch considers
 
 @dataclass(frozen=True)
 class Landing:
-    """Data of an impact for the choice of batches. offset: of its axis, m; window: radius (m) within which the target is computed, inf:
-    all of the target; diameter: of the particle, m; dwell: time until the next impact, s."""
+    """Data of an impact for the choice of batches. offset: position (x, y) of its axis, m; window: radius (m) within which the target
+    is computed, inf for the whole target; diameter: diameter of the particle, m; dwell: time until the next impact, s."""
 
     offset: tuple[float, float]
     window: float
@@ -25,8 +26,8 @@ class Landing:
 
 @dataclass(frozen=True)
 class Batch:
-    """Impacts first to stop - 1. cut: radius (m) of the largest of their sub-domains, inf: the full target; pause: time (s) of heat
-    conduction until the next batch, 0: none."""
+    """The impacts first to stop - 1. cut: radius (m) of the largest of their sub-domains, inf for the full target; pause: time (s) of
+    heat conduction until the next batch, 0 for none."""
 
     first: int
     stop: int
@@ -40,8 +41,8 @@ class Batch:
 
 
 def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]:
-    """The batches of a plan, in the order of the impacts. A batch ends before an impact whose window is too close to another window of
-    the batch. is_cooled: whether heat flows between impacts."""
+    """The batches of a plan, in the order of the impacts. A batch ends before an impact whose window is too close to the window of
+    another impact in the batch. is_cooled: whether heat flows between impacts."""
     found, first = list[Batch](), 0
     while first < len(impacts):
         stop = first + 1
@@ -54,9 +55,10 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
-    """An order of impacts with large batches: indices of the impacts. An impact moves to a later batch if its window is apart from the
-    windows of this batch, and its splat cannot overlap the splats of all impacts in between. Thus splats that may overlap keep their
-    order. The last batch is filled first, then the one before it, because a pause costs more on a higher coating."""
+    """An order of the impacts that allows large batches, as indices of the impacts. An impact moves to a later batch if its window is
+    far enough from the windows of this batch, and its splat cannot overlap the splats of the impacts in between. Thus splats that may
+    overlap keep their order. The last batch is filled first, then the one before it, because a pause costs more computing time on a
+    higher coating."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()
@@ -80,7 +82,7 @@ def side_by_side(impacts: Sequence[Landing]) -> list[int]:
 
 
 def _apart(others: Sequence[Landing], new: Landing) -> bool:
-    """Whether the window of an impact is apart from the windows of other impacts."""
+    """Whether the window of the impact `new` is far enough from the windows of other impacts."""
     return math.isfinite(new.window) and all(
         math.dist(a.offset, new.offset) > a.window + new.window + GAP * max(a.diameter, new.diameter) for a in others
     )

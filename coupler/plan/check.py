@@ -1,4 +1,4 @@
-"""Problems in the relations between several fields of a scene, most of them from derived numbers."""
+"""Checks of relations between several fields of a scene, mostly of numbers derived from them."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -29,13 +29,13 @@ Problem = tuple[tuple[str, ...], str]  # the fields of the check, the message
 
 
 def _wrong(field: str, value: float, unit: str, text: str, *looked: str) -> Problem:
-    """A problem of the value (SI) of a field. looked: the other fields of the check."""
+    """The message about a wrong value (SI) of a field. looked: the other fields of the check."""
     return (field, *looked), f"{field} = {text_of(value, unit)}: {text}"
 
 
 def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set[str]) -> Iterator[Problem]:
-    """Problems in the relations between several fields, each with the fields of the check. catalogue: materials by name; broken: names
-    materials.NAME of tables with errors."""
+    """Problems in the relations between several fields, each with the names of the checked fields. catalogue: materials by name;
+    broken: names materials.NAME of tables with errors."""
     d = Derived(scene)
     bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
     bodies[:0] = zip(scene.labels, scene.particles, strict=True)
@@ -85,7 +85,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
 
 
 def _hardness(where: str, particle: Particle, material: Material | None) -> Iterator[Problem]:
-    """Check that the strength law of the metal can have the hardness or the yield strength of the powder."""
+    """Check that the strength law of the metal can give the hardness or the yield strength of the powder."""
     field = "yield_strength" if particle.hardness is None else "hardness"
     if particle.hardness is not None and particle.yield_strength is not None:
         yield (f"{where}.hardness", f"{where}.yield_strength"), f"{where}: give hardness or yield_strength, not both"
@@ -98,7 +98,7 @@ def _hardness(where: str, particle: Particle, material: Material | None) -> Iter
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:
-    """Names of fields of all particles in messages."""
+    """Names of a field of all particles, for messages."""
     return tuple(f"{label}.{name}" for label in scene.labels for name in names)
 
 

@@ -1,4 +1,4 @@
-"""The table [coating] of a scene: it becomes a list of random particles from a seed, equal on all machines."""
+"""Random particles from the table [coating] of a scene. A seed gives the same list of particles on all machines."""
 
 import glob
 import math
@@ -28,8 +28,8 @@ _CLASSES = 200  # of equal mass or number
 
 @dataclass(frozen=True)
 class Fed:
-    """A powder for random particles. rho: density, kg/m3; files: with shapes; by_number: diameters (m) and cumulative fractions of the
-    number of particles, if the table has sizes by mass."""
+    """A powder from which particles are drawn. rho: density, kg/m3; files: files with shapes; by_number: diameters (m) and cumulative
+    fractions of the number of particles, if the table has sizes by mass."""
 
     table: PowderTable
     rho: float = 1.0
@@ -37,7 +37,7 @@ class Fed:
     by_number: tuple[np.ndarray, np.ndarray] | None = None
 
     def diameter(self, u: float) -> float:
-        """The u-quantile (0 to 1) by number of the diameters between their limits, m."""
+        """The diameter (m) below which lies a fraction u (0 to 1) of the particles, counted between the limits of the diameters."""
         t = self.table
         if self.by_number is not None:
             return float(np.interp(u, *reversed(self.by_number)))
@@ -58,9 +58,10 @@ class Fed:
 
 
 def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Material]) -> list[str]:
-    """Add the particles of the table [coating] to a scene without particles. raw: the scene as nested dicts, changed in place; folder:
-    base of the names of files; catalogue: metals by name. The scene.toml of a run has the table and its particles: these do not change.
-    Returns the problems. The check of the scene reports errors in the table; for this check a valid particle is added."""
+    """Add the random particles of the table [coating] to a scene without particles. raw: the scene as nested dicts, changed in place;
+    folder: folder to which file names are relative; catalogue: metals by name. The scene.toml of a run has the table and its
+    particles, which do not change. Returns the problems. If the table has errors, which the check of the scene reports, a valid
+    particle is added for this check."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
         raw.setdefault("particle", [dict(_STAND_IN)])
@@ -87,7 +88,8 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
 
 
 def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -> Fed:
-    """A powder with its files. folder: base of their names. Raises ValueError, beginning with the name of the field."""
+    """A powder with its files. folder: folder to which their names are relative. Raises ValueError; the message begins with the name
+    of the field."""
     files = sorted(map(Path, glob.glob(str(folder / powder.files), recursive=True))) if powder.files else []
     if powder.material not in catalogue:
         raise ValueError(f'material = "{powder.material[:40]}": {unknown(powder.material[:40], catalogue)}')
@@ -178,7 +180,8 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
 
 
 def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
-    """Value at a diameter (m): linear between the pairs (diameter m, value), constant outside."""
+    """The value at a diameter (m). It is interpolated linearly between the pairs (diameter in m, value), and constant outside
+    them."""
     for (low, at_low), (high, at_high) in pairwise(pairs):
         if low <= diameter <= high:
             return at_low + (at_high - at_low) * (diameter - low) / (high - low)
@@ -199,13 +202,13 @@ def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]
 
 
 def _cut_normal(u: float) -> float:
-    """The u-quantile of the standard normal distribution between -_CUT and _CUT."""
+    """The u-quantile of the standard normal distribution that is limited to the range from -_CUT to _CUT."""
     low = NormalDist().cdf(-_CUT)
     return NormalDist().inv_cdf(low + u * (1.0 - 2.0 * low))
 
 
 def _shape(table: PowderTable, u: float) -> str:
-    """The shape at the cumulative fraction u (0 to 1), in the order of the table."""
+    """The shape that belongs to the cumulative fraction u (0 to 1), in the order of the table."""
     total = sum(table.shapes.values())
     for name, share in table.shapes.items():
         u -= share / total

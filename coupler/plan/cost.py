@@ -1,4 +1,4 @@
-"""Size and cost of a run from a few numbers, before the run, with all fitted constants."""
+"""Estimate of size and cost of a run, before the run, from a few numbers. All fitted constants of the estimate are here."""
 
 import math
 import os
@@ -104,11 +104,13 @@ def flow_stress(material: Material, T: float, rate: float, strain: float = STRAI
 def loads(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> tuple[float, float]:
-    """Loads of particle and target in an impact: absorbed energy over flow stress and volume of the particle.
+    """Loads of particle and target in an impact: energy that each absorbs, divided by its flow stress and by the volume of the
+    particle.
 
     The load is Johnson's damage number rho v^2 / Y, with the density of the particle and the flow stress of the body, times the
-    fraction of the energy that the body absorbs, which is proportional to its compliance 1 / Y. The flow stress of the particle is that
-    of its rim, heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): of particle and target; velocity m/s, diameter m.
+    fraction of the energy that the body absorbs, which is proportional to its compliance 1 / Y. The flow stress of the particle is
+    that of its rim, heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): temperatures of particle and target; velocity
+    m/s, diameter m.
     """
     metal, rate, inertia = materials[0], velocity / diameter, materials[0].rho * velocity**2
     Y, Y_base = (flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
@@ -123,8 +125,8 @@ def loads(
 def stopping_time(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> float:
-    """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829):
-    (2/3) rho_p D / sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): of
+    """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829): (2/3) rho_p D /
+    sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): temperatures of
     particle and target; velocity m/s, diameter m."""
     rate = velocity / diameter
     H = HARDNESS_OVER_FLOW_STRESS * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
@@ -136,8 +138,8 @@ def stopping_time(
 def expected_time(
     cap: float, height: float, velocity: float, end_at: str, load: tuple[float, float], angle: float
 ) -> float:
-    """Expected simulated time of an impact, s. cap: its longest time, s; height m, velocity m/s; end_at: "rest", "greatest" or "time";
-    load: from `loads`; angle: rad, from the normal."""
+    """Expected simulated time of an impact, s. cap: longest time of the impact, s; height (m); velocity (m/s); end_at: "rest",
+    "greatest" or "time"; load: from `loads`; angle (rad): from the normal."""
     if end_at == "time":
         return cap
     (a, b), (c, d), oblique = REST_FIT
@@ -154,8 +156,9 @@ def time_step(
     engine: str,
     slenderness: float = 1.0,
 ) -> float:
-    """Mean time step of an impact until rest, s; deformation of the particle decreases the step. spacing m, wave_speed m/s; points: of
-    a sphere of its size; slenderness: height over the diameter of the sphere of equal volume; load, angle: as in `expected_time`."""
+    """Mean time step of an impact until rest, s. Deformation of the particle decreases the step. spacing (m); wave_speed (m/s);
+    points: number of points of a sphere of the same size; slenderness: height divided by the diameter of the sphere of equal volume;
+    load, angle: as in `expected_time`."""
     (a, b), (c, d), (e, f) = STEP_FIT
     pressed = math.cos(angle) * (math.cos(angle) + SHEARED * math.sin(angle))
     alone = ((load[0] - load[1]) / sum(load)) ** 2
@@ -178,7 +181,8 @@ def machine_memory() -> float:
 
 
 def run_time(n_elements: float) -> float:
-    """Time of a run on one core without its steps, s: mesh, files, pictures, but not the start of the program."""
+    """Wall time of a run on one core apart from its time steps, s: for mesh, files and pictures, but not for the start of the
+    program."""
     return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
 
 
@@ -188,6 +192,6 @@ def step_time(steps: float, points: float, n_elements: float, engine: str) -> fl
 
 
 def target_load(points: float, n_elements: float, engine: str) -> float:
-    """Cost of target and contact in a step over cost of the particle."""
+    """Cost of target and contact in a step, divided by the cost of the particle."""
     own = SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points
     return own / (SECONDS_PER_POINT[engine] * points)

@@ -1,4 +1,4 @@
-"""Numbers that follow from a scene by formulas: resolution, times, extents, estimated sizes."""
+"""Numbers that follow from a scene by formulas: resolution, times, dimensions, estimated sizes."""
 
 import math
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ _OUTPUTS_IN_ALL = 1250.0  # ... and over all impacts of a sequence, at most
 
 @dataclass(frozen=True)
 class Derived:
-    """Quantities that follow from a scene."""
+    """Numbers that follow from a scene."""
 
     scene: SceneData
 
     @cached_property
     def spacing(self) -> float:
-        """Spacing of the points of all particles, m: from the scene, or from the preset for the largest particle. It is finer if the
-        smallest or thinnest particle needs it, but not finer than that of the finest preset."""
+        """Spacing of the points of all particles, m. It is given in the scene, or follows from the preset for the largest particle.
+        It is finer if the smallest or thinnest particle needs this, but not finer than that of the finest preset."""
         if self.scene.resolution.spacing is not None:
             return self.scene.resolution.spacing
         particles = self.scene.particles
@@ -38,7 +38,7 @@ class Derived:
         return min(estimates.spacing(largest, estimates.PRESETS[self.scene.preset]), max(needed, finest))
 
     def points_of(self, particle: Particle) -> int:
-        """Approximate number of points of a particle: its volume over the cube of the spacing."""
+        """Approximate number of points of a particle: its volume divided by the cube of the spacing."""
         return round(particle.volume / self.spacing**3)
 
     @property
@@ -69,8 +69,8 @@ class Derived:
         return self.scene.resolution.element_size or estimates.ELEMENT_SIZE_OVER_SPACING * self.spacing
 
     def window_of(self, particle: Particle) -> float:
-        """Radius (m) round an impact within which the target is computed: from the scene; otherwise from the size of the particle if
-        there are many particles, and infinite if there are few."""
+        """Radius (m) around an impact within which the target is computed. It is given in the scene; otherwise it follows from the
+        size of the particle if there are many particles, and is infinite if there are few."""
         if self.scene.substrate.window is not None:
             return self.scene.substrate.window
         if len(self.scene.particles) < estimates.MANY:
@@ -117,8 +117,8 @@ class Derived:
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 
     def usual_time_of(self, particle: Particle) -> float:
-        """Usual upper limit of the time of an impact, s: the time of the scene, or the flight over the gap plus the larger of 3 h / v
-        and 1.5 h / v_n. h: height of the particle; v_n: component of its velocity v towards the target."""
+        """Usual upper limit of the time of an impact, s. It is given in the scene; otherwise it is the flight time through the gap
+        plus the larger of 3 h / v and 1.5 h / v_n. h: height of the particle; v_n: component of its velocity v towards the target."""
         if self.scene.end.time is not None:
             return self.scene.end.time
         towards = particle.velocity * math.cos(particle.angle)
@@ -126,8 +126,8 @@ class Derived:
         return self.gap_of(particle) / towards + particle.height * crossings
 
     def end_time_of(self, particle: Particle) -> float:
-        """Longest permitted time of an impact, s: the time of the scene, or the larger of `usual_time_of` and the flight plus twice the
-        stopping time. Raises SceneError for an unknown material."""
+        """Longest permitted time of an impact, s. It is given in the scene; otherwise it is the larger of `usual_time_of` and the
+        flight time plus twice the stopping time. Raises SceneError for an unknown material."""
         usual = self.usual_time_of(particle)
         if self.scene.end.time is not None:
             return usual
@@ -141,7 +141,8 @@ class Derived:
 
     @cached_property
     def _underneath(self) -> list[tuple[str, float]]:
-        """The materials that a particle may hit, each with the highest temperature (K) of its bodies, at which it is softest."""
+        """The materials that a particle may hit, each with the highest temperature (K) of its bodies. At this temperature the
+        material is softest."""
         hottest: dict[str, float] = {}
         bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
         for body in bodies:
@@ -150,7 +151,7 @@ class Derived:
 
     @property
     def spray(self) -> Spray:
-        """The spray of the scene, or the default conditions."""
+        """The spray of the scene, or a spray with default conditions."""
         return self.scene.spray or Spray()
 
     @cached_property
@@ -164,7 +165,8 @@ class Derived:
         return 1.0 / (flux * math.pi * max(radius, 0.5 * max(p.width for p in particles)) ** 2)
 
     def dwell_of(self, particle: Particle) -> float:
-        """Time (s) between the impact of a particle and the next: from the scene or the spray; by default 0 after the last."""
+        """Time (s) between the impact of a particle and the next impact. It is given in the scene or follows from the spray; the
+        default is 0 after the last particle."""
         if particle.dwell is not None:
             return particle.dwell
         return 0.0 if particle is self.scene.particles[-1] else self.time_between

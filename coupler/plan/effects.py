@@ -1,4 +1,5 @@
-"""The table of effects, each with a number and the threshold below which `auto` switches it off (docs/evidence/effects.md)."""
+"""The table of physical effects. For each effect a number is compared with a threshold; `auto` switches the effect off below it
+(docs/evidence/effects.md)."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -49,32 +50,32 @@ class Situation:
 
     @cached_property
     def warm(self) -> float:
-        """Heating over the difference to the melting point, the larger value of the two bodies."""
+        """Temperature rise by heating, divided by the difference to the melting point; the larger value of the two bodies."""
         return max(dT / max(m.T_m - T, 1.0) for m, T, dT in self.bodies)
 
     def diffusion(self, body: int, time: float) -> float:
-        """Diffusion length of heat, m, in a time (s) in the particle (body 0) or the target (body 1)."""
+        """Diffusion length of heat, m, during a time (s). body: 0 for the particle, 1 for the target."""
         return math.sqrt(diffusivity(*self.bodies[body][:2]) * time)
 
     @cached_property
     def in_target(self) -> float:
-        """Diffusion length in the target over element size."""
+        """Diffusion length of heat in the target, divided by the element size."""
         return self.diffusion(1, self.end_time) / self.scene.derived.element_size
 
     @cached_property
     def in_particle(self) -> float:
-        """Diffusion length in the particle over spacing."""
+        """Diffusion length of heat in the particle, divided by the point spacing."""
         return self.diffusion(0, self.duration) / self.impact.spacing
 
     def recovered(self, m: Material, T: float, heated: float) -> float:
-        """Fraction of the dislocations that recover in the pause, the larger of two: at T (K) in all of the pause, or at T + heated
-        during the cooling time of a splat."""
+        """Fraction of the dislocations that recover in the pause. It is the larger of two values: at T (K) during the whole pause, or
+        at T + heated during the cooling time of a splat."""
         pause = self.impact.dwell
         hot = min(pause, self.impact.diameter**2 / diffusivity(m, T))
         return max(recovered_share(m, T, pause), recovered_share(m, min(T + heated, m.T_m), hot))
 
     def of_both(self, number: Callable[[Material, float, float], float]) -> float:
-        """The larger value, of the two bodies, of a function of material, temperature (K) and heating (K)."""
+        """The larger of the values for the two bodies. number: function of material, temperature (K) and heating (K)."""
         return max(number(*body) for body in self.bodies)
 
     def flow_stress(self, m: Material, T: float) -> float:
@@ -88,8 +89,8 @@ class Situation:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect. number: name of the number for the decision; value: the number of an impact; threshold: `auto` switches the effect on
-    if the number is larger."""
+    """One effect. number: name of the number that decides; value: function that gives the number of an impact; threshold: `auto`
+    switches the effect on if the number is larger."""
 
     name: str
     number: str
@@ -152,7 +153,7 @@ EFFECTS = (
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """The effects that a scene sets, True if on. `decide` chooses all others by the number of each effect.
+    """The effects that a scene sets itself; True means on. `decide` chooses all others by the number of each effect.
 
     request is the key `effects` of the scene:
     - "auto": the scene sets no effect;
@@ -176,8 +177,8 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
 
 
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
-    """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene sets,
-    True if on."""
+    """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene
+    sets itself; True means on."""
     exposed = any(situation.is_exposed for situation in situations)
 
     def of(effect: Effect) -> Decision:
@@ -195,7 +196,7 @@ def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tupl
 
 
 def heating(material: Material, T: float, velocity: float) -> float:
-    """Rise of temperature, K, if all kinetic energy became plastic work: beta v^2 / (2 cp)."""
+    """Temperature rise, K, if all kinetic energy became plastic work: beta v^2 / (2 cp)."""
     return material.taylor_quinney * velocity**2 / (2 * material.cp_at(T))
 
 

@@ -1,4 +1,4 @@
-"""Expected cost of a plan: steps, wall time on one core, memory, files, with the constants of `cost`."""
+"""Expected cost of a plan: time steps, wall time on one core, memory, file sizes. The constants are in `plan.cost`."""
 
 import math
 from collections.abc import Sequence
@@ -11,8 +11,9 @@ from .model import ImpactPlan, Plan
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected cost. steps: of each impact; shares: for each impact two fractions of the wall time, before its steps and of its steps;
-    whole: wall time, s; memory, files: bytes; target_load: cost of target and contact over cost of the particles."""
+    """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact two fractions of the wall time, before
+    its steps and of its steps; whole: wall time, s; memory, files: bytes; target_load: cost of target and contact divided by cost of
+    the particles."""
 
     steps: list[int]
     shares: list[tuple[float, float]]
@@ -43,8 +44,8 @@ def forecast(plan: Plan) -> Forecast:
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
-    """Number of computed elements of an impact: of the substrate within its window, and of the splats in proportion to the area of the
-    window. met: elements of all bodies."""
+    """Number of elements that an impact computes: those of the substrate within its window, and those of the splats in proportion to
+    the area of the window. met: elements of all bodies."""
     target, w = plan.target, impact.window
     if math.isinf(w):
         return met
@@ -54,8 +55,8 @@ def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
 
 
 def _between(plan: Plan, met: Sequence[int]) -> list[float]:
-    """Time between impacts after each impact, s: conversion of its splat and rest, and a pause after the last impact of each batch;
-    after the last impact only the closing stage."""
+    """Computing time after each impact, before the next one, s: conversion of its splat, relaxation to rest and, after the last
+    impact of each batch, the pause. After the last impact there is only the closing stage."""
     paused = {batch.stop - 1 for batch in plan.batches if plan.effects.cooling}
     closed, times = plan.ambient is not None, []
     for i, (before, impact) in enumerate(zip(met, plan.impacts, strict=True)):
@@ -70,7 +71,8 @@ def _between(plan: Plan, met: Sequence[int]) -> list[float]:
 
 
 def _file_bytes(impact: ImpactPlan, elements: int) -> float:
-    """Bytes of the fields of an impact: of steps at regular times, at the greatest deformation and at the end, or only of the end."""
+    """Bytes of the stored fields of an impact: steps at regular times, at the greatest deformation and at the end; or only the
+    end."""
     every = max(impact.output_every, cost.CHUNK * impact.dt_expected)
     steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
     places = impact.points + cost.VERTICES * impact.points ** (2.0 / 3.0)

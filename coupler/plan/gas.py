@@ -1,4 +1,4 @@
-"""The table [gas] of a scene: it gives velocity and temperature to particles that have none in the scene."""
+"""The table [gas] of a scene. The gas gives velocity and temperature to particles that have none in the scene."""
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,14 +25,14 @@ _UNITS = {"velocity": ("m/s", 4), "temperature": ("K", 4)}  # unit and digits; t
 
 
 def read(table: object) -> tuple[GasConditions | None, list[tuple[str, str]]]:
-    """Gas conditions from texts with units: (conditions, problems). A problem is a field and a text; with problems, conditions is
-    None."""
+    """Read gas conditions from texts with units. Returns (conditions, problems). A problem is a field and a text; if there are
+    problems, conditions is None."""
     conditions, entries = read_table(GasConditions, table)
     return conditions, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
 
 
 def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
-    """The flow of a scene's gas. Raises ColdsprayError, beginning with the name of the field, if there is none."""
+    """The gas flow of a scene. Raises ColdsprayError if there is no such flow; the message begins with the name of the field."""
     c = conditions
     return Flow(GASES[c.kind], nozzle, c.pressure, c.temperature, c.standoff, c.ambient, c.bow_shock)
 
@@ -46,7 +46,7 @@ def flights(conditions: GasConditions, flow: Flow, metal: Material, diameters: S
 def _flights(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameters: tuple[float, ...]
 ) -> dict[float, Flight]:
-    """Flights by diameter, m."""
+    """Flights of particles by their diameter, m."""
     return dict(zip(diameters, flights(conditions, flow(conditions, nozzle), material, diameters), strict=True))
 
 
@@ -54,7 +54,7 @@ def arrival(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float, among: Iterable[float]
 ) -> dict[str, str]:
     """Velocity and temperature of a sphere (diameter m) at impact, as texts of a scene. among: all diameters (m) of the scene, which
-    are computed together. Raises ColdsprayError, beginning with the name of the field."""
+    are computed together. Raises ColdsprayError; the message begins with the name of the field."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
@@ -97,7 +97,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
 
 
 def describe(scene: SceneData) -> list[str]:
-    """Lines of `coldspray check` about the gas; none without [gas]."""
+    """Lines about the gas for `coldspray check`; none if the scene has no table [gas]."""
     if scene.gas is None:
         return []
     c = scene.gas
@@ -118,7 +118,7 @@ def describe(scene: SceneData) -> list[str]:
 
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
-    """Text about the velocity and temperature of a particle from the gas, and whether they are used."""
+    """Text about the velocity and the temperature that the gas gives a particle, and whether the scene uses them."""
     material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
@@ -129,7 +129,7 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
 
 
 def _in_words(entry: ErrorDetails) -> str:
-    """A message of pydantic about an option of the command line."""
+    """Convert an error of pydantic to a message about an option of the command line."""
     if entry["type"] == "missing":
         return "is missing"
     if entry["type"] == "literal_error":
@@ -138,7 +138,7 @@ def _in_words(entry: ErrorDetails) -> str:
 
 
 def _diameter(particle: Mapping[str, object]) -> float | None:
-    """The diameter of a particle, m; None if it is not valid."""
+    """The diameter of a particle, m; None if the scene gives no valid diameter."""
     try:
         return DIAMETER.read(particle.get("diameter"))
     except ValueError:

@@ -1,4 +1,4 @@
-"""The computations of a job: scenes of its impacts and coatings, and their number and resolution for the given time."""
+"""The computations of a job: the scenes of its impacts and coatings; their number and resolution follow from the given time."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -37,10 +37,11 @@ WITHIN = 0.4, 1.4  # range of the search for a critical velocity over the veloci
 
 @dataclass(frozen=True)
 class Choice:
-    """Extent of the computations of a job. The searches for critical velocities have numbers of points, 0 for no search: bonds: of the
-    main search; coarser: of the search that measures the error of the resolution; sets: of the searches with the other strength sets of
-    the powder. placements: impacts at each velocity; tolerance: width of the bracket over its middle. Coatings: points: of the largest
-    particle; disc: radius of the disc of the centres, in median diameters; layers; seeds: number of coatings."""
+    """Extent of the computations of a job. The searches for critical velocities have numbers of points, where 0 means no search.
+    bonds: points of the main search; coarser: points of the search that measures the resolution error; sets: points of the searches
+    with the other strength sets of the powder. placements: impacts at each velocity; tolerance: width of the bracket divided by its
+    middle. Coatings: points: points of the largest particle; disc: radius of the disc of the particle centres, in median diameters;
+    layers; seeds: number of coatings."""
 
     bonds: int
     placements: int
@@ -80,7 +81,8 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Job:
-    """A job. raw: the tables of its file; data: the same in SI units; sizes: of the powder; metals: by name; nozzle: of the gas."""
+    """A job. raw: the tables of its file; data: the same in SI units; sizes: size distribution of the powder; metals: metals by name;
+    nozzle: nozzle of the gas."""
 
     name: str
     raw: dict[str, Any]
@@ -101,7 +103,7 @@ class Job:
 
     @cached_property
     def flow(self) -> Flow:
-        """Flow of the gas. Raises SceneError."""
+        """The gas flow through the nozzle. Raises SceneError."""
         try:
             return scene_gas.flow(self.data.gas, self.nozzle)
         except ColdsprayError as error:
@@ -109,13 +111,14 @@ class Job:
 
     @cached_property
     def arrived(self) -> Spray:
-        """The powder at the target, with the formula for its metal and the substrate."""
+        """The powder at impact, with the critical-velocity formula for its metal and the substrate."""
         fly = partial(scene_gas.flights, self.data.gas, self.flow, self.metal)
         return spray(self.metal, self.base, self.sizes, fly)
 
     def on(self, base: str, points: int, strength: str = "") -> Scene:
         """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, on
-        the metal `base` of the job. points: of the particle; strength: a strength set of the powder, by default its own."""
+        the metal `base` of the job. points: number of points of the particle; strength: a strength set of the powder, by default its
+        own."""
         k = len(self.arrived.share) // 2
         D = float(self.arrived.diameter[k])
         tables = self._materials(self.data.powder.material, base)
@@ -131,8 +134,8 @@ class Job:
         }, f"{self.name}_on_{base}")  # fmt: skip
 
     def coating(self, choice: Choice, seed: int) -> Scene:
-        """The scene of a coating of the particles that stick by the formula, or of all particles if none sticks. All particles of the
-        scene are tied to the surface."""
+        """The scene of a coating. Its particles are those that stick by the formula, or all particles if none sticks. All particles
+        of the scene are tied to the surface."""
         smallest, median, largest = self.middle(choice.points)
         radius, spread = choice.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
         metal = self.data.powder.material
@@ -151,8 +154,8 @@ class Job:
         }, f"{self.name}_coating")  # fmt: skip
 
     def middle(self, points: int) -> tuple[float, float, float]:
-        """Smallest, median and largest diameter (m) of the particles of a coating. The median is from the mass that sticks by the
-        formula. The range is the widest one in which the smallest particle has ROOM points if the largest has `points`."""
+        """Smallest, median and largest diameter (m) of the particles of a coating. The median is that of the mass that sticks by the
+        formula. The range is the widest in which the smallest particle has ROOM points if the largest has `points`."""
         ratio = self.arrived.ratio
         stick = self.arrived.share[(ratio >= 1.0) & (ratio < 2.0)]
         median = self.sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
@@ -161,7 +164,7 @@ class Job:
 
     @property
     def bases(self) -> tuple[str, ...]:
-        """Names of the metals that the powder hits: the substrate, then the coating."""
+        """Names of the metals that the powder hits: first the metal of the substrate, then the metal of the coating."""
         return tuple(dict.fromkeys((self.data.substrate.material, self.data.powder.material)))
 
     def _base(self, material: str, diameter: float, height: float) -> dict[str, object]:
@@ -175,7 +178,7 @@ class Job:
         return sets_of(self.raw["materials"].get(name, {}), name)[1:]
 
     def _materials(self, *names: str) -> dict[str, dict[str, Any]]:
-        """The tables of metals, by name. A table without a strength has the first set of `sets_of`."""
+        """The tables of metals, by name. A table that names no strength gets the first set of `sets_of`."""
         tables = {name: dict(self.raw["materials"].get(name, {})) for name in names}
         for name, table in tables.items():
             if sets := sets_of(table, name):
@@ -184,8 +187,9 @@ class Job:
 
 
 def sets_of(table: Mapping[str, object], name: str) -> list[str]:
-    """The strength sets of a metal, the one with the highest strain rate of its fit first. For a fit without an upper limit its lowest
-    rate counts. Empty for a metal whose table names its strength, and for a metal that is not in the library."""
+    """The strength sets of a metal in the library. The set that is fitted up to the highest strain rate comes first; for a fit
+    without an upper limit its lowest rate counts. The list is empty if the table of the metal names its strength, or the library does
+    not have the metal."""
     try:
         known = [] if {"strength", "law"} & table.keys() else materials.entry(str(table.get("base", name))).materials
     except ColdsprayError:
@@ -203,7 +207,7 @@ def _um(length: float) -> str:
 
 
 def read(path: Path) -> Job:
-    """Read the file of a job. Raises as `from_text`, and InputError if it cannot be read."""
+    """Read the file of a job. Raises the errors of `from_text`, and InputError if the file cannot be read."""
     return from_text(read_text(path, SCENE_LIMIT), path)
 
 
@@ -234,7 +238,8 @@ def from_text(text: str, path: Path) -> Job:
 
 
 def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: int) -> float:
-    """Wall time of a choice on a number of cores, s. takes(scene): processor time of a run, s."""
+    """Wall time of the computations of a choice on `cores` cores, s. takes(scene): function that gives the processor time of a run,
+    s."""
     halvings = math.ceil(math.log2(RATIO / choice.tolerance))
     each, total = choice.placements * (BRACKET + halvings), choice.seeds * (takes(job.coating(choice, 1)) + START)
     rough = BRACKET + 1
@@ -247,8 +252,8 @@ def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: in
 
 
 def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choice, float, tuple[Choice, float] | None]:
-    """The largest of CHOICES within the time of the job, its wall time (s), and the next choice with its time (None after the last).
-    takes, cores: as in `seconds`. Raises SceneError if the smallest choice takes longer."""
+    """The largest of CHOICES that fits into the time of the job, its wall time (s), and the next larger choice with its time (None
+    after the last). takes, cores: as in `seconds`. Raises SceneError if even the smallest choice takes longer."""
     best: tuple[Choice, float] | None = None
     for choice in CHOICES:
         time = seconds(job, choice, takes, cores)
@@ -266,5 +271,6 @@ def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choic
 
 
 def processor_time(factor: float) -> Callable[[Scene], float]:
-    """A function of a scene: its expected processor time, s. factor: processor time on this machine over the time of the cost model."""
+    """A function that gives the expected processor time of a scene, s. factor: processor time on this machine divided by the time of
+    the cost model."""
     return lambda scene: factor * forecast(plan(scene)).whole

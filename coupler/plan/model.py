@@ -13,14 +13,14 @@ from .batches import Batch, Landing, batches_of
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactPlan(Landing):
-    """One impact. diameter m: of the sphere of equal volume; lengths m: of the shape at tilt 0; tilt rad: about y; file: key of the
-    surface in `Plan.solids`, "" for other shapes. velocity (vx, vy, vz) m/s; offset (x, y) m: of the centre at the start; gap m:
-    initial distance of the lowest point from the surface under it. spacing m; points: approximate number. initial_strain: plastic
-    strain of the powder, from its hardness. window m: radius within which the target is computed, inf for all of it. Times in s:
-    end_time: limit of the impact; expected: expected duration; dt_expected: mean step; rate_filter: time constant of the strain rate's
-    average; output_every: between written steps; dwell: until the next impact. end_at: "rest", "greatest" (deformation) or "time".
-    formula: critical velocities of the metals of the particle and of the body that it hits. splat_elements: estimate, 0 if a rebound is
-    expected."""
+    """One impact. diameter (m): diameter of the sphere of equal volume; lengths (m): extents of the shape at tilt 0; tilt (rad):
+    rotation about y; file: key of the surface in `Plan.solids`, "" for other shapes. velocity (vx, vy, vz) m/s; offset (x, y) m:
+    position of the centre at the start; gap (m): initial distance of the lowest point from the surface under it. spacing (m); points:
+    approximate number. initial_strain: plastic strain of the powder, from its hardness. window (m): radius within which the target is
+    computed, inf for all of it. Times in s: end_time: limit of the impact; expected: expected duration; dt_expected: mean step;
+    rate_filter: time constant of the strain rate's average; output_every: time between written steps; dwell: time until the next
+    impact. end_at: "rest", "greatest" (deformation) or "time". formula: critical velocities of the metals of the particle and of the
+    body that it hits. splat_elements: estimate, 0 if a rebound is expected."""
 
     material: Material
     shape: str
@@ -49,16 +49,17 @@ class ImpactPlan(Landing):
 
     @property
     def velocity_ratio(self) -> float | None:
-        """`towards` over the critical velocity of the particle's metal. None: not known; infinite at the melting point."""
+        """`towards` divided by the critical velocity of the particle's metal. None if it is not known; infinite at the melting
+        point."""
         critical = self.formula.critical
         return None if critical is None else self.towards / critical if critical else math.inf
 
 
 @dataclass(frozen=True)
 class TargetPlan:
-    """The substrate, a cylinder. Lengths m, temperature K. Elements have element_size within refined_radius of the disc of radius
-    `spread` about `centre` (x, y), and grow by `growth` per unit of distance up to largest_element. sides, bottom: conditions of the
-    faces. roughness: Sa m, correlation length m and seed of the top face, None: smooth."""
+    """The substrate, a cylinder. Lengths in m, temperature in K. Elements have element_size within refined_radius of the disc of
+    radius `spread` about `centre` (x, y). Farther away they grow by `growth` per unit of distance, up to largest_element. sides,
+    bottom: conditions of the faces. roughness: Sa (m), correlation length (m) and seed of the top face, None for a smooth face."""
 
     material: Material
     diameter: float
@@ -104,11 +105,11 @@ class Plan:
     """All decisions about a run, the content of plan.json. Times in s, lengths in m.
 
     impacts: in their order; batches: groups of impacts that are computed in parallel. contact_stiffness: factor on the penalty
-    stiffness. engine: of the particles (`coupler.particle.engine`). decisions: about each effect. solids: shapes from files, by name of
-    the file. ambient: temperature (K) to which all bodies cool after the last impact in cooling_time (s), None: they do not cool.
-    surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts. gas, spray: texts
-    about the gas and about the time between impacts. companions: points of the coarser runs that measure the error, empty if it is not
-    measured. skipped: the reasons of failed impacts of the scene, which are not in `impacts`.
+    stiffness. engine: engine of the particles (`coupler.particle.engine`). decisions: about each effect. solids: shapes from files,
+    by name of the file. ambient: temperature (K) to which all bodies cool after the last impact in cooling_time (s), None: they do
+    not cool. surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts. gas,
+    spray: texts about the gas and about the time between impacts. companions: points of the coarser runs that measure the error,
+    empty if it is not measured. skipped: the reasons of failed impacts of the scene, which are not in `impacts`.
     """
 
     name: str
@@ -140,11 +141,11 @@ class Plan:
         return i > 0 and math.isfinite(self.impacts[i].window)
 
     def batch_from(self, first: int) -> Batch | None:
-        """The batch of impact `first`, without its earlier impacts; None after the last impact."""
+        """The batch that contains impact `first`, without the impacts before it; None after the last impact."""
         return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
 
     def without(self, i: int, why: str) -> "Plan":
-        """The plan without impact i, which is skipped. why: the reason."""
+        """The plan without impact i, which is skipped. why: reason for skipping it."""
         impacts = (*self.impacts[:i], *self.impacts[i + 1 :])
         left = batches_of(impacts, self.effects.cooling)
         return replace(self, impacts=impacts, batches=left, skipped=(*self.skipped, why))

@@ -1,4 +1,4 @@
-"""The plan of a run: all decisions, before any computation; no solver is imported."""
+"""Makes the plan of a run: all decisions, before any computation. No solver is imported."""
 
 import math
 from collections.abc import Sequence
@@ -66,7 +66,8 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
 
 
 def _settled(scene: Scene) -> dict[str, bool]:
-    """The effects that the scene sets, True if on: by its key `effects`, or because its results need them."""
+    """The effects that the scene sets; True means on. They follow from the key `effects`, or because a requested result needs
+    them."""
     settled = effects.requested(scene.effects)
     if scene.derived.ambient is not None:  # they cause residual stresses
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
@@ -76,8 +77,8 @@ def _settled(scene: Scene) -> dict[str, bool]:
 
 
 def _stays(scene: Scene, particle: Particle) -> bool:
-    """Whether a particle is expected to stick as a splat. It is, unless the criterion of adhesion is "velocity" and the formula of the
-    critical velocity (`pair_formula`) predicts a rebound."""
+    """Whether a particle is expected to stick as a splat. This is so, unless the criterion of adhesion is "velocity" and the formula
+    of the critical velocity (`pair_formula`) predicts a rebound."""
     law, metal = scene.derived.adhesion_law, scene.derived.material(particle.material)
     if law.kind == "none" or law.criterion != "velocity":
         return True
@@ -87,8 +88,8 @@ def _stays(scene: Scene, particle: Particle) -> bool:
 
 
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
-    """The body that impact i hits, the last splat under its centre or the substrate: material, temperature (K), whether it is a
-    splat."""
+    """The body that impact i hits: the last splat under its centre, or the substrate. Returns its material, its temperature (K), and
+    whether it is a splat."""
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
@@ -137,7 +138,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
 
 
 def _spray(scene: Scene) -> str:
-    """Text about the time between impacts; "" for one impact."""
+    """Text about the time between impacts; "" if there is only one impact."""
     d, spray, show = scene.derived, scene.derived.spray, units.rounded
     if len(scene.particles) == 1:
         return ""

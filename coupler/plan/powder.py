@@ -15,8 +15,8 @@ _CUMULATIVE = ("under", "cum", "passing", "undersize")
 
 
 def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
-    """The sizes of a powder, from the value of a scene. folder: base of the name of a file. Raises ValueError with the problem of the
-    file."""
+    """The size distribution of a powder, from its value in a scene. folder: folder to which a file name is relative. Raises
+    ValueError with the problem of the file."""
     if isinstance(sizes, str):
         path = folder / Path(sizes).expanduser()
         try:
@@ -27,7 +27,7 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
 
 
 def sizes_in(table: Table) -> Sizes:
-    """The sizes in the table of a particle-size analyser.
+    """The size distribution in the table of a particle-size analyser.
 
     Each row has a diameter and a volume fraction, which is also the mass fraction. The fraction is that of the size class above this
     diameter. In a cumulative column it is the fraction of all particles below this diameter. A column is cumulative if its name says so
@@ -62,5 +62,5 @@ def sizes_in(table: Table) -> Sizes:
 
 
 def _column(table: Table, words: tuple[str, ...]) -> str:
-    """The first column whose name contains one of the words, "" if there is none."""
+    """The first column whose name contains one of the words; "" if there is none."""
     return next((name for name in table.columns if any(word in name.lower() for word in words)), "")

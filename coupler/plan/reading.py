@@ -1,6 +1,5 @@
-"""Reading and checking of a scene, with the particles of its coating and the velocities from its gas. All problems are reported at
-once.
-"""
+"""Reading and checking of a scene, including the particles of its coating and the velocities from its gas. All problems are reported
+at once."""
 
 import copy
 import math
@@ -31,7 +30,7 @@ _OF_PARTICLE, _NUMBERS = re.compile(r"particle\[\d+\]"), re.compile(r"[-+]?\d[\d
 
 
 class Scene(SceneData):
-    """A complete scene. `Scene.load`, `from_text` and `from_dict` check it."""
+    """A complete, checked scene. Make it with `Scene.load`, `from_text` or `from_dict`."""
 
     @cached_property
     def derived(self) -> Derived:
@@ -45,27 +44,27 @@ class Scene(SceneData):
 
     @cached_property
     def given(self) -> tuple[Mapping[str, object], str]:
-        """The nested dicts that it was read from, and their source, as of `from_dict`."""
+        """The nested dicts from which the scene was read, and the name of their source, as in `from_dict`."""
         return parse_toml(self.to_toml()), self.name
 
     def with_(self, **changes: object) -> "Scene":
         """A new scene with some keys changed: `scene.with_(particle={"velocity": "600 m/s"}, preset="fine")`.
 
-        Values are as in a file. A table changes the keys that it names, in each of several particles; None removes a key. A list of as
-        many tables as there are particles changes each by its own, {} none of it; any other list replaces the scene's. Raises
-        SceneError with every problem.
+        Values are written as in a file. A table changes only the keys that it names; for several particles it changes each of them.
+        None removes a key. A list with one table for each particle changes each particle by its own table; {} changes nothing. Any
+        other list replaces the list of the scene. Raises SceneError with all problems.
         """
         data, source = self.given
         return Scene.from_dict(cast(Mapping[str, object], _merged(data, changes)), source)
 
     def _repr_html_(self) -> str:
-        """Its text, as a notebook shows it."""
+        """HTML for a notebook: the text of the scene."""
         text = escape(self.text or self.to_toml())
         return f'<pre style="white-space: pre; overflow: auto; max-height: 30em">{text}</pre>'
 
     @classmethod
     def load(cls, path: str | Path, settings: Settings = ()) -> "Scene":
-        """Read a scene file. settings: keys and values as in `--set`, which replace those of the file. Raises SceneError with all
+        """Read a scene file. settings: keys and values as in `--set`, which replace values of the file. Raises SceneError with all
         problems."""
         try:
             text = read_text(path, SCENE_LIMIT)
@@ -111,7 +110,7 @@ class Scene(SceneData):
 
 
 def _merged(old: object, new: object) -> object:
-    """A value of a scene with changes, as `Scene.with_` describes them; both are left as they are."""
+    """A value of a scene after changes, as `Scene.with_` describes them. `old` and `new` themselves do not change."""
     if isinstance(old, list) and isinstance(new, Mapping):
         return [_merged(each, new) for each in old]
     tables = old if isinstance(old, list) else [old]
@@ -125,7 +124,7 @@ def _merged(old: object, new: object) -> object:
 
 
 def _checked(data: Mapping[str, object], source: str) -> Scene:
-    """A scene from nested dicts. source: its name in messages. Raises SceneError with all problems."""
+    """Check nested dicts and make a scene of them. source: name of the scene in messages. Raises SceneError with all problems."""
     raw = copy.deepcopy(dict(data))
     own = {name for kind in KINDS if isinstance(tables := raw.get(kind), dict) for name in tables}
     problems = with_library(raw, source)
@@ -164,7 +163,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
 
 
 def _brief(problems: list[str]) -> list[str]:
-    """The problems; only the first of those that differ only in particle and numbers."""
+    """The problems without repetitions: of those that differ only in particle and numbers, only the first remains."""
     kinds = [_NUMBERS.sub("#", problem) if _OF_PARTICLE.match(problem) else problem for problem in problems]
     told = [p for i, p in enumerate(problems) if kinds[:i].count(kinds[i]) < MOST_ALIKE or not _OF_PARTICLE.match(p)]
     left = len(problems) - len(told)
@@ -184,14 +183,14 @@ def _set_defaults(raw: dict[str, object]) -> None:
 
 
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
-    """The key `strength` of a scene of nested dicts, and the names of its metals."""
+    """The key `strength` of a scene of nested dicts, and the names of the scene's metals."""
     strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), *coating_tables(raw)]
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 
 
 def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
-    """Values of the fields that a table does not have, by name, each with its origin. head: heading of the table."""
+    """The default value of each field that a table does not have, with the origin of the value. head: heading of the table."""
     d = Derived(scene)
     if isinstance(table, Particle):
         several = {"dwell": f"{text_of(d.time_between, 'us')}  (from: spray)"} if len(scene.particles) > 1 else {}

@@ -1,4 +1,4 @@
-"""The file plan.json of a run: the plan as JSON. Numbers that JSON does not have are texts, such as "Infinity"."""
+"""The file plan.json of a run: the plan as JSON. Numbers that JSON does not have are written as texts, such as "Infinity"."""
 
 import hashlib
 import json

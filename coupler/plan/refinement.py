@@ -1,4 +1,4 @@
-"""Error of the resolution: the scene with fewer points, and the error of its measures from runs at several spacings."""
+"""Error of the resolution: scenes with fewer points, and the error of each measure from runs at several spacings."""
 
 import math
 import tomllib
@@ -33,15 +33,15 @@ LEAST, MOST = 300, 64000  # limits of the points that --accuracy and --within ch
 
 
 class AccuracyError(ColdsprayError):
-    """No setting has this accuracy or this time; the message gives the nearest possible value."""
+    """No resolution reaches the requested accuracy or time. The message gives the nearest possible value."""
 
 
 def at_points(
     scene: Scene, points: int, changes: Mapping[str, object] | None = None, element: float | None = None
 ) -> Scene:
     """The scene with about this number of points in its largest particle, and with the same ratio of element sizes to the spacing.
-    changes: other keys; element: smallest edge of the target's elements over the spacing, by default the ratio of the scene. Raises
-    SceneError if the spacing is too large for the scene."""
+    changes: changes of other keys; element: smallest edge of the target's elements divided by the spacing, by default the ratio of
+    the scene. Raises SceneError if the spacing is too large for the scene."""
     data = tomllib.loads(scene.to_toml()) | dict(changes or {})
     spacing = cost.spacing(max(p.volume for p in scene.particles), points)
     ratio = spacing / scene.derived.spacing
@@ -56,8 +56,8 @@ def at_points(
 
 
 def companions(scene: Scene) -> tuple[int, ...]:
-    """Points of the coarser runs that measure the error of a scene, the finer run first. Empty for a coating, whose error is measured
-    by other seeds, and for a scene that is too coarse for a coarser run."""
+    """Numbers of points of the coarser runs that measure the error of a scene, the finer run first. The list is empty for a coating,
+    whose error is measured by other seeds, and for a scene that is too coarse for a coarser run."""
     volumes = [p.volume for p in scene.particles]
     least = max(COARSEST, math.ceil(1.1 * cost.LEAST_POINTS * max(volumes) / min(volumes)))
     points = scene.derived.points
@@ -97,7 +97,7 @@ def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
 
 
 def line(h: np.ndarray, y: np.ndarray, p: float) -> tuple[float, float, np.ndarray]:
-    """Limit v, slope a and residuals (k,) of y = v + a h^p."""
+    """Limit v, slope a and residuals (k,) of the fit y = v + a h^p."""
     power = h**p
     (v, a), *_ = np.linalg.lstsq(np.stack([np.ones_like(h), power], axis=1), y, rcond=None)
     return float(v), float(a), y - v - a * power
@@ -110,17 +110,17 @@ def _scatter(h: np.ndarray, y: np.ndarray, p: float, unknowns: int) -> float:
 
 
 def forecast(points: float) -> dict[str, float]:
-    """Expected error over value at a number of points, by measure, before any computation."""
+    """Expected relative error of each measure at a number of points, before any computation."""
     return {key: share * (FORECAST_AT / points) ** (FORMAL_ORDER / 3.0) for key, share in FORECAST.items()}
 
 
 def has_error(key: str, points: float) -> bool:
-    """Whether coarser runs give the error of a measure of a run with this number of points per particle: percentiles need many
+    """Whether coarser runs can give the error of a measure of a run with this number of points per particle. Percentiles need many
     points."""
     return points >= TAIL_POINTS or "_p99" not in key
 
 
 def points_for(share: float) -> int:
-    """The least number of points with a forecast of at most `share` for the errors of SHAPE over their values."""
+    """The least number of points for which the expected relative errors of the measures SHAPE are at most `share`."""
     worst = max(forecast(1.0)[key] for key in SHAPE)
     return max(math.ceil((worst / share) ** (3.0 / FORMAL_ORDER)), LEAST)

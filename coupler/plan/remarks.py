@@ -19,7 +19,7 @@ EXPOSURE_POINTS = (
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
-    """Distance (m) from an offset (m) to the nearest absorbing face; infinite without any."""
+    """Distance (m) from a point at an offset (m) to the nearest absorbing face; infinite if there is no such face."""
     distances = [math.inf]
     if scene.substrate.sides == "absorbing":
         distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
@@ -90,8 +90,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
 
 
 def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
-    """Warning about metals whose strength law is not fitted at the strain rate v / D, with the sets that are; "" without such
-    metals."""
+    """Warning about metals whose strength law is used beyond its fitted strain rates (at v / D), with the strength sets that are
+    fitted there; "" if there are none."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
     limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
@@ -101,14 +101,14 @@ def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str
 
 
 def _hot(material: Material, *reached: float) -> str:
-    """Text about bodies that may reach these temperatures, K; "" if all are far from melting."""
+    """Text about bodies that may reach the given temperatures, K; "" if all are far from melting."""
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
 
 
 def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
-    """Warning about a coating that is higher than wide, with its centres on a disc of `radius` m; "" for all others."""
+    """Warning about a coating that is higher than wide; "" for other coatings. radius: radius of the disc of particle centres, m."""
     across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
     height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # volume of the particles over area of the disc
     if height < across:

@@ -1,4 +1,4 @@
-"""Shapes of particles from files. Each file is read, cleaned and checked once."""
+"""Particle shapes from files. Each file is read, cleaned and checked only once."""
 
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..scene.model import SceneData, particle_tables
 
 
 def load(path: Path) -> Solid:
-    """The solid in a file. Raises InputError or SplatError with the reason if there is none."""
+    """The solid in a file. Raises InputError or SplatError with the reason if the file holds no solid."""
     return _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
@@ -29,7 +29,7 @@ def _loaded(path: Path, changed: int) -> Solid:
 
 
 def form_of(solid: Solid) -> Form:
-    """Extents, corners and mean thickness 2 V / A of a solid scaled to diameter 1."""
+    """Extents, corners and mean thickness 2 V / A of a solid, scaled to diameter 1."""
     x = solid.points
     hull = x[ConvexHull(x).vertices]
     a, b, c = np.ptp(x, axis=0).tolist()
@@ -51,7 +51,7 @@ def read_forms(scene: SceneData) -> list[str]:
 
 
 def with_folders(raw: dict[str, object], source: str) -> None:
-    """Make the names of files absolute; they are relative to the folder of the scene. raw: nested dicts, changed in place."""
+    """Make file names absolute; they are relative to the folder of the scene. raw: the scene as nested dicts, changed in place."""
     for particle in particle_tables(raw):
         name = particle.get("file")
         if isinstance(name, str) and len(name) < 4096 and "\0" not in name:

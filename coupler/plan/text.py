@@ -1,4 +1,4 @@
-"""The plan as text, for `coldspray check`."""
+"""The plan as text for `coldspray check`."""
 
 import math
 from pathlib import Path
@@ -82,7 +82,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
 
 
 def _note(warning: str, brief: bool) -> list[str]:
-    """Lines of a warning; in brief without the names of valid strength sets."""
+    """Lines of a warning; with `brief` without the names of strength sets that are valid."""
     sets = ""
     if warning.startswith(BEYOND_FIT):
         warning, _, sets = warning.partition("; ")
@@ -93,12 +93,12 @@ def _note(warning: str, brief: bool) -> list[str]:
 
 
 def _cut(lines: list[str], brief: bool) -> list[str]:
-    """The lines, in brief only the first ones."""
+    """The lines; with `brief` only the first of them."""
     return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
 
 
 def _impacts(plan: Plan, most: int) -> list[str]:
-    """A line for each of the first `most` particles."""
+    """Text lines about the first `most` particles, one line for each."""
     if len(plan.impacts) == 1:
         return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
     lines = [
@@ -132,7 +132,7 @@ def _pause(impact: ImpactPlan) -> str:
 
 
 def _splats(plan: Plan) -> list[str]:
-    """Lines about the conversion and the adhesion of splats; none for a single particle without adhesion."""
+    """Lines about the conversion and the adhesion of splats; no lines for a single particle without adhesion."""
     if len(plan.impacts) == 1 and plan.adhesion.kind == "none":
         return []
     each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
@@ -145,7 +145,7 @@ def _splats(plan: Plan) -> list[str]:
 
 
 def _window(plan: Plan) -> list[str]:
-    """Line about the computed part of the target; none if all of it is computed."""
+    """Line about the computed part of the target; no line if the whole target is computed."""
     lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
     if not lengths:
         return []

@@ -1,4 +1,5 @@
-"""The table [coating] of a scene: powders and how they fall. `coupler.plan.coating` draws the particles."""
+"""The table [coating] of a scene: powders, and the distribution of the particles. `coupler.plan.coating` draws the particles at
+random."""
 
 import math
 import re
@@ -12,7 +13,7 @@ from .tables import DIAMETER, DWELL, KELVIN, VELOCITY, BySize, Quantity, Section
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
-    """Sizes of a powder from a value in one of SIZE_FORMS: diameters in m, or the name of a file."""
+    """Read the sizes of a powder from a value in one of SIZE_FORMS: diameters in m, or the name of a file."""
     if value is None:
         return None
     if isinstance(value, str) and (sieves := _SIEVES.fullmatch(value)):
@@ -103,7 +104,7 @@ class PowderTable(Section):
 
 
 class Share(PowderTable):
-    """One of several powders. share: fraction of the mass of the feed, 0 to 1."""
+    """One of the powders of a blend. share: its mass fraction in the feed, 0 to 1."""
 
     share: StrictFloat = Field(gt=0.0, lt=1.0)
 
@@ -111,9 +112,9 @@ class Share(PowderTable):
 class Coating(PowderTable):
     """Random particles from a seed, instead of [[particle]] tables (`coupler.plan.coating`). SI units.
 
-    number: of particles, the same in each of `layers`; radius (m): of the disc about the axis for their centres; positions: "random",
-    or "even" (far from the other positions of the layer). powder: tables [[coating.powder]] of a blend; their default values are those
-    of [coating].
+    number: number of particles, the same in each of `layers`; radius (m): radius of the disc about the axis for their centres;
+    positions: "random", or "even" (far from the other positions of the layer). powder: tables [[coating.powder]] of a blend; their
+    default values are those of [coating].
     """
 
     number: StrictInt = Field(ge=1, le=500)
@@ -155,7 +156,7 @@ class Coating(PowderTable):
 
 
 def _completed(table: object, common: dict[str, object]) -> object:
-    """A table [[coating.powder]] with its missing keys from [coating]. diameter and sizes replace each other."""
+    """A table [[coating.powder]] whose missing keys are taken from [coating]. The keys diameter and sizes replace each other."""
     if not isinstance(table, dict):
         return table
     sized = {"diameter", "spread", "sizes"} if {"diameter", "sizes"} & table.keys() else set()

@@ -8,7 +8,7 @@ from .. import units
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of a run: True if on. A scene uses the same names."""
+    """The effects of a run by name; True means on. A scene uses the same names."""
 
     thermal_softening: bool
     rate_hardening: bool
@@ -31,7 +31,7 @@ class Effects:
 
     @property
     def switches(self) -> dict[str, bool]:
-        """Effects by name: True if on, for `constitutive.law_record`."""
+        """All effects by name, True for on, as `constitutive.law_record` needs them."""
         return asdict(self)
 
     @property

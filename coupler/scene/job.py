@@ -1,4 +1,4 @@
-"""A job: powder, gas and substrate in the terms of a process engineer, and the time for the computation."""
+"""The tables of a job: powder, gas and substrate in the terms of a process engineer, and the time for the computation."""
 
 from typing import Annotated
 
@@ -9,21 +9,21 @@ from .tables import GasConditions, Quantity, Section, Temperature, Track
 
 
 class Powder(Section):
-    """A powder. material: its metal; sizes: of its particles."""
+    """The powder of a job. material: its metal; sizes: size distribution of its particles."""
 
     material: str
     sizes: PowderSizes
 
 
 class Base(Section):
-    """The part to be coated, of sufficient thickness. temperature: of its surface, K."""
+    """The part to be coated, which counts as thick. temperature: temperature of its surface, K."""
 
     material: str
     temperature: Temperature = 300.0
 
 
 class JobData(Section):
-    """All tables of a job, SI units. within: time for the computation on all cores, s."""
+    """All tables of a job, SI units. within: time that the computation may take on all cores, s."""
 
     within: Annotated[float, Quantity("min", "1 s", "1000 h")] = 1800.0
     powder: Powder

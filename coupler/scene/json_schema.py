@@ -1,4 +1,4 @@
-"""The tables of a scene as a JSON schema (Draft 4), with which editors complete and check keys (for TOML, for example, taplo)."""
+"""The tables of a scene as a JSON schema (Draft 4). With it editors complete and check keys (for TOML, for example, taplo)."""
 
 import re
 import tomllib
@@ -15,7 +15,7 @@ DRAFT = "http://json-schema.org/draft-04/schema#"
 
 
 def scene_schema() -> dict[str, Any]:
-    """The schema of a scene, as nested dicts. It has no conditions on several keys; `coldspray check` tests these."""
+    """The schema of a scene, as nested dicts. It has no conditions that relate several keys; `coldspray check` tests these."""
     whole = SceneData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a scene of coldspray", "description": ""} | _draft_4(whole)
     properties, tables = schema["properties"], schema["definitions"]
@@ -59,7 +59,7 @@ def job_schema() -> dict[str, Any]:
 
 
 def words(key: str) -> str:
-    """Meaning of a key or a table, in Markdown: words("particle.gap"), words("gas.about"). "" if there is none."""
+    """The meaning of a key or a table, in Markdown: words("particle.gap"), words("gas.about"). "" if it is not known."""
     table, _, name = key.partition(".") if "." in key else ("", "", key)
     return str((_words().get(table, {}) if table else _words()).get(name, ""))
 

@@ -57,7 +57,7 @@ def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> S
 
 
 def covers(bad: str, field: str) -> bool:
-    """Whether a faulty field is `field`, contains it, or is an element of it."""
+    """Whether a faulty field is `field` itself, contains it, or is an element of it."""
     return bad == field or field.startswith((f"{bad}.", f"{bad}[")) or bad.startswith(f"{field}[")
 
 
@@ -69,7 +69,7 @@ def dotted(loc: tuple[int | str, ...], several: bool) -> str:
 
 
 def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneData) -> str:
-    """A message for an error of pydantic. several: whether the scene has several particles; whole: the model of the file."""
+    """The message for an error of pydantic. several: whether the scene has several particles; whole: model of the file."""
     kind, loc = entry["type"], entry["loc"]
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
     model = _model_at(loc[:-1], whole)
@@ -106,7 +106,7 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
 
 
 def _model_at(loc: tuple[int | str, ...], whole: type[BaseModel]) -> type[BaseModel]:
-    """The model of the table at a path in the model of a file."""
+    """The model of the table at a path in a file. whole: the model of the whole file."""
     if not loc or loc[0] not in (names := {info.alias or n: n for n, info in whole.model_fields.items()}):
         return whole
     inner = whole.model_fields[names[str(loc[0])]].annotation
@@ -127,5 +127,5 @@ def shown(value: object) -> str:
 
 
 def text_of(value: float, unit: str) -> str:
-    """An SI value in a unit, in quotation marks."""
+    """An SI value as text in a unit, in quotation marks."""
     return f'"{units.rounded(value, unit, 6)}"'

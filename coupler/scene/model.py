@@ -63,7 +63,7 @@ class SceneData(tables.Section):
 
     @property
     def particle(self) -> tables.Particle:
-        """The first particle."""
+        """The first particle of the scene."""
         return self.particles[0]
 
     @property

@@ -1,4 +1,4 @@
-"""The tables of a scene: their fields, units and limits. `coupler.scene.model` puts them together."""
+"""The tables of a scene: their keys, units and limits. `coupler.scene.model` combines the tables."""
 
 import math
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ KELVIN = Quantity("K", "100 K", "5000 K")
 
 
 class Section(BaseModel):
-    """A table of the scene. Unknown keys are errors; the values cannot be changed."""
+    """Base class of the tables of a scene. Unknown keys are errors; values cannot be changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -121,11 +121,12 @@ Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"] 
 
 
 class Particle(Section):
-    """One impact. SI units. angle (rad): from the surface normal; offset: of the centre at the start.
+    """A particle and its impact. SI units. angle (rad): impact angle from the surface normal; offset: position of the centre at the
+    start.
 
-    shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: of the sphere of equal volume; tilt
-    (rad): of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness, yield_strength (Pa, one of
-    them): of the powder, instead of the values of the metal.
+    shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: diameter of the sphere of equal
+    volume; tilt (rad): of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness, yield_strength
+    (Pa, one of them): of the powder, instead of the values of the metal.
     """
 
     material: str
@@ -175,8 +176,9 @@ class Particle(Section):
 class GasConditions(Section):
     """Gas and nozzle of the spray. They give the velocity and temperature of particles for which the scene has no values. SI units.
 
-    pressure, temperature: total values before the nozzle. nozzle: a name of the library or of [nozzles.NAME]. standoff: from nozzle to
-    target. ambient: pressure outside. powder_temperature: at the feed. drag: a law of `coupler.spray.flight`.
+    pressure, temperature: total values before the nozzle. nozzle: a name of the library or of [nozzles.NAME]. standoff: distance from
+    nozzle to target. ambient: pressure outside. powder_temperature: temperature of the powder at the feed. drag: a drag law of
+    `coupler.spray.flight`.
     """
 
     kind: Literal["N2", "He", "air"] = "N2"
@@ -196,9 +198,10 @@ class GasConditions(Section):
 
 
 class Track(Section):
-    """The motion of the spray over the target. SI units; the defaults are usual conditions.
+    """The motion of the spray gun over the target. SI units; the defaults are usual conditions.
 
-    feed_rate: of the powder, kg/s; spot: diameter of the uniform spray spot, m; traverse_speed: of the gun, m/s."""
+    feed_rate: of the powder, kg/s; spot: diameter of the uniform spray spot, m; traverse_speed: of the gun, m/s.
+    """
 
     feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
     spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
@@ -219,8 +222,8 @@ class Spray(Track):
 
 
 class Substrate(Section):
-    """The target, a cylinder; its top face is the surface. SI units. window: radius (m) of the computed part round each impact.
-    roughness: Sa (m) of the surface; roughness_length (m): correlation length, at which the correlation is 1/e."""
+    """The target, a cylinder; its top face is the surface. SI units. window: radius (m) of the computed part around each impact.
+    roughness: Sa (m) of the surface; roughness_length (m): its correlation length, at which the correlation is 1/e."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
@@ -235,7 +238,7 @@ class Substrate(Section):
 
 
 class Contact(Section):
-    """friction: the Coulomb coefficient."""
+    """Friction between surfaces. friction: Coulomb's coefficient."""
 
     friction: StrictFloat = Field(0.5, ge=0.0, le=2.0)
 
@@ -245,7 +248,8 @@ _SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
 
 
 class PairTable(Section):
-    """Bonds between two metals, a table [[adhesion.pair]], instead of the bonds of [adhesion]. Pa, J/m2."""
+    """Bonds between two metals: a table [[adhesion.pair]], which replaces the bonds of [adhesion] for this pair. Strengths in Pa,
+    energies in J/m2."""
 
     metals: tuple[str, str]
     strength: Annotated[float | None, _Stress] = None
@@ -280,8 +284,9 @@ class AdhesionTable(Section):
 
 
 class SplatTable(Section):
-    """Conversion of a particle to finite elements. element_size: m, by default the target's. mass_scaling: limit of the mass added to
-    the elements with the shortest steps, over the mass of the next particle; it resists only changes of their shape."""
+    """Conversion of a particle to finite elements. element_size (m): by default that of the target. mass_scaling: limit of the mass
+    that is added to the elements with the shortest steps, divided by the mass of the next particle. The added mass resists only
+    changes of the shape of these elements."""
 
     method: Literal["auto", "carried", "density"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
@@ -289,9 +294,9 @@ class SplatTable(Section):
 
 
 class Resolution(Section):
-    """Values instead of the preset's. spacing: of the points, m; element_size: smallest, m; growth: of the element size per unit of
-    distance from the impact. engine: of the particle (`coupler.particle.engine`). error: whether coarser runs measure the error; None:
-    only with `coldspray run`."""
+    """Values that replace those of the preset. spacing: spacing of the points, m; element_size: smallest element size, m; growth:
+    increase of the element size per unit of distance from the impact. engine: numerical scheme of the particle
+    (`coupler.particle.engine`). error: whether coarser runs measure the error; None: only with `coldspray run`."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
@@ -301,9 +306,9 @@ class Resolution(Section):
 
 
 class End(Section):
-    """End of each impact: at rest, at the greatest deformation, or `time` s after its start; with both keys at the earlier one. "cold":
-    at rest, and after the last impact all bodies cool to `ambient` (K). Default: "rest" for one particle, "cold" for several.
-    cooling_time (s): of this cooling, for static recovery; 0: no recovery."""
+    """When an impact ends: at rest, at the greatest deformation, or `time` s after its start; if two keys are given, at the earlier
+    time. "cold": at rest, and after the last impact all bodies cool to `ambient` (K). Default: "rest" for one particle, "cold" for
+    several. cooling_time (s): duration of this cooling, for static recovery; 0: no recovery."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
@@ -312,7 +317,7 @@ class End(Section):
 
 
 class Output(Section):
-    """Output of fields. at: all steps of each impact, or only its end; every: simulated time (s) between two steps."""
+    """Which fields are stored. at: all steps of each impact, or only its end; every: simulated time (s) between two stored steps."""
 
     at: Literal["steps", "ends"] = "steps"
     every: Annotated[float | None, Quantity("ns", "0.001 ns", "1000000 ns")] = None

@@ -1,4 +1,4 @@
-"""A scene as TOML: with its default values, with the comments of its file, with keys set on the command line."""
+"""A scene as TOML text: with its default values, with the comments of its file, with keys that are set on the command line."""
 
 import json
 import re
@@ -52,7 +52,8 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
 
 
 def completed(text: str, full: str) -> str:
-    """The text of a scene in its order and with its comments, and with all missing keys and comments of `full`; without `library`."""
+    """The text of a scene, in its order and with its comments, together with all keys and comments of `full` that it lacks. The key
+    `library` is left out."""
     document = tomlkit.parse(_DERIVED.sub("", text))
     document.pop("library", None)
     _fill(document, tomlkit.parse(full))
@@ -60,7 +61,7 @@ def completed(text: str, full: str) -> str:
 
 
 def _fill(own: Container, full: Container) -> None:
-    """Add the keys and comments that a table does not have, before the empty lines at its end."""
+    """Add missing keys and comments to a table, before the empty lines at its end."""
     spaces = []
     while own.body and isinstance(own.body[-1][1], Whitespace):
         spaces.append(own.body.pop())
@@ -82,7 +83,7 @@ def _fill(own: Container, full: Container) -> None:
 
 
 def changed(text: str, settings: Settings) -> str:
-    """The text of a scene, valid TOML, with keys set by `--set`; the rest of the text, with its comments, does not change.
+    """The TOML text of a scene with keys changed as by `--set`. The rest of the text, with its comments, does not change.
 
     Raises ValueError with the reason for a key that cannot be set.
     """
@@ -98,7 +99,8 @@ def changed(text: str, settings: Settings) -> str:
 
 
 def texts(text: str, keys: Iterable[str]) -> dict[str, str]:
-    """Values of keys such as "particle.velocity" in a text of valid TOML, as `changed` takes them; keys that it lacks are left out."""
+    """The values of keys such as "particle.velocity" in a TOML text, in the form that `changed` accepts. Keys that are not in the
+    text are left out."""
     document, found = tomlkit.parse(text), {}
     for key in keys:
         item: Any = document
@@ -154,7 +156,7 @@ def _inline(table: Section) -> str:
 
 
 def _written(table: Section, field: str, value: Any) -> str:
-    """A value as text of the scene, in the unit of its field."""
+    """A value as text in a scene, in the unit of its field."""
     by_size = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize)), None)
     if by_size is not None:
         pairs = [[units.show(size, "um"), units.show(number, by_size.of.unit)] for size, number in value]
