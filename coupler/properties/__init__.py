@@ -1,1 +1,1 @@
-"""Effective properties of a cold coating: stiffness and conductivity of a block cut out of it."""
+"""Effective properties of a cold coating: stiffness and conductivities of a block of it."""

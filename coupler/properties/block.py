@@ -1,4 +1,4 @@
-"""A rectangular block cut out of a coating: its tetrahedra, and where the bodies in it are bonded or touch."""
+"""A rectangular block of a coating: its tetrahedra, and the places where the bodies in it are bonded or touch each other."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ SLIVER = 1e-9  # element sizes cubed: less volume have elements that those nodes
 
 @dataclass(frozen=True)
 class Joints:
-    """Nodes of some bodies on facets of others. nodes (n,); triangles (n,3), weights (n,3): of the point opposite; normal (n,3) of the
-    facet, outwards; gap (n,) m; area (n,) m2; bonded (n,): they share the displacement; else they touch."""
+    """Pairs of a node of one body and a facet of another body opposite to it. nodes (n,); triangles (n,3), weights (n,3): facet and
+    barycentric coordinates of the opposite point; normal (n,3): outward normal of the facet; gap (n,) m; area (n,) m2; bonded (n,):
+    True if both sides have the same displacement, False if they only touch."""
 
     nodes: NDArray
     triangles: NDArray
@@ -37,8 +38,8 @@ class Joints:
 
 @dataclass(frozen=True)
 class Block:
-    """points (n,3) m; tets (m,4); body (m,): of each, bodies share no nodes; low, high (3,) m: corners; walls: facets (k,3) on the
-    faces of the block, normals outwards; joints: between the bodies."""
+    """A block of a coating. points (n,3) m; tets (m,4); body (m,): body of each tetrahedron (bodies share no nodes); low, high (3,)
+    m: corners of the block; walls: facets (k,3) on the faces of the block, normals outwards; joints: joints between the bodies."""
 
     points: NDArray
     tets: NDArray
@@ -55,17 +56,18 @@ class Block:
 
     @property
     def solid(self) -> float:
-        """Share of the volume that is metal."""
+        """Fraction of the block's volume that is metal."""
         return float(volumes(self.points, self.tets).sum()) / self.volume
 
 
 def cut_out(
     points: NDArray, tets: NDArray, body: NDArray, at_nodes: NDArray, low: NDArray, high: NDArray, size: float
 ) -> Block:
-    """The block between the corners low and high (3,) m of bodies of tetrahedra.
+    """The block between the corners low and high (3,) m of a mesh with several bodies.
 
-    body (m,); at_nodes (n,2): 1 where a node is bonded, and where it touches another body without a bond, else 0; size m: of an
-    element. Nodes within 0.6 of it (as when a splat joins the target) face each other at a joint.
+    body (m,): body of each tetrahedron; at_nodes (n,2): 1 in the first column for a bonded node, 1 in the second for a node that
+    touches another body without a bond, else 0; size (m): element size. Nodes closer than 0.6 element sizes to another body (as when
+    a splat joins the target) belong to a joint.
     """
     for axis in range(3):
         for wall, sign in ((low[axis], -1.0), (high[axis], 1.0)):
@@ -86,11 +88,11 @@ def cut_out(
 def clip(
     points: NDArray, tets: NDArray, body: NDArray, values: NDArray, off: NDArray, least: float
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """The part of a mesh of tetrahedra in which a linear field off (n,), given at its nodes, is negative. Nodal values (n,k) are
-    interpolated at new nodes; tetrahedra of less volume than `least` are left out.
+    """The part of a mesh of tetrahedra in which a linear field is negative. off (n,): values of the field at the nodes. Nodal values
+    (n,k) are interpolated at new nodes. Tetrahedra with a volume below `least` are left out.
 
-    Each edge that the plane cuts gets a node. A tetrahedron is halved at the first of its cut edges, by their numbers, until none is
-    cut: neighbours halve the face that they share in the same order, so that the mesh stays conforming.
+    Each edge that crosses the plane gets a new node. A tetrahedron is divided at the first of its crossing edges, in the order of
+    their numbers, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
     """
     ends = np.sort(tets[:, EDGES], axis=-1).reshape(-1, 2)
     cut = ends[off[ends].prod(axis=1) < 0.0]
@@ -121,7 +123,8 @@ def clip(
 
 
 def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
-    """Joints of each body to the bodies before it: bonds are the later body's nodes; either side may touch."""
+    """Joints between each body and the bodies before it. Bonded nodes belong to the later body; touching nodes may belong to either
+    body."""
     found = []
     near = earlier_neighbours(surfaces, points, reach) if len(surfaces.facets) else []
     for later in (number for number, earlier in enumerate(near) if earlier):

@@ -1,10 +1,11 @@
 """Effective stiffness and conductivity of a block under uniform boundary conditions, by conjugate gradients.
 
-kinematic: the displacement E x on all faces gives an upper bound. static: a uniform traction gives the lower bound (Hill (1963),
-J. Mech. Phys. Solids 11, 357; Huet (1990), ibid. 38, 813). mixed: the faces have some components of E x and no traction in the others
-(for shear as in Pahr & Zysset (2008), Biomech. Model. Mechanobiol. 7, 463); the result lies between the bounds (Hazanov & Huet (1994),
-J. Mech. Phys. Solids 42, 1995). Conduction has the same three: a linear temperature on all faces; a uniform flux; a temperature on two
-opposite faces while the others are insulated.
+Three conditions are used. "kinematic": the displacement E x on all faces gives an upper bound. "static": a uniform traction on all
+faces gives the lower bound (Hill (1963), J. Mech. Phys. Solids 11, 357; Huet (1990), ibid. 38, 813). "mixed": on the faces some
+components of the displacement E x are prescribed, and there is no traction in the other directions (for shear as in Pahr & Zysset
+(2008), Biomech. Model. Mechanobiol. 7, 463); the result lies between the bounds (Hazanov & Huet (1994), J. Mech. Phys. Solids 42,
+1995). Conduction has the same three conditions: a linear temperature on all faces; a uniform flux; a temperature on two opposite
+faces while the other faces are insulated.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ TOUCHING = 100.0  # stiffness of a facet that touches, in that of an element: so
 
 @dataclass(frozen=True)
 class Problem:
-    """Equations of a block of n nodes. K: their matrix, W/K or N/m, component after component; x (n,3) m; bonds: nodes that share the
-    value of the point opposite; components: 3 of the displacement, 1 of temperature; on (3,n): nodes on the faces normal to each axis;
-    area (3,n) m2: of the faces, outwards, that each stands for; volume m3."""
+    """Equations of a block of n nodes. K: matrix of the equations, W/K or N/m, component after component; x (n,3) m; bonds: nodes
+    that have the same value as the opposite point; components: 3 for displacement, 1 for temperature; on (3,n): nodes on the faces
+    normal to each axis; area (3,n) m2: outward area of these faces that belongs to each node; volume (m3)."""
 
     K: csr_array
     x: NDArray
@@ -44,8 +45,9 @@ class Problem:
     volume: float
 
     def uniform(self, vectors: NDArray) -> NDArray:
-        """Fields (loads, components n) of vectors (n,3): their components, or their products with unit tensors, in shear of two halves.
-        Of positions: linear fields of unit gradients, or strains; of areas: fluxes, or forces of uniform stresses."""
+        """Fields (loads, components n) that vectors (n,3) cause under unit loads: the products of the vectors with unit tensors (in
+        shear, half of each of two products), or for conduction the vectors' components. Of positions: the linear fields of unit
+        strains or gradients. Of areas: the forces of uniform stresses, or the fluxes."""
         if self.components == 1:
             return np.asarray(vectors.T)
         unit = np.zeros((6, 3, 3))
@@ -55,12 +57,13 @@ class Problem:
         return np.asarray(np.einsum("kij,nj->kin", unit, vectors).reshape(6, -1))
 
     def kinematic(self) -> NDArray:
-        """Stiffness (6,6) Pa or conductivity (3,3) W/mK where the faces follow the linear fields."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK if linear fields are prescribed on all faces (upper bound)."""
         held = np.tile(self.on.any(axis=0), self.components)
         return self._driven([held] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
-        """The same for mixed conditions. An entry of two loads with different conditions is zero."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions. Entries that combine two loads with different
+        conditions are zero."""
         if self.components == 1:
             return self._driven(list(self.on))
         held = np.zeros((6, 3, len(self.x)), bool)
@@ -72,9 +75,10 @@ class Problem:
         return self._driven(list(held.reshape(6, -1)))
 
     def static(self) -> NDArray | None:
-        """The same under uniform tractions or fluxes on the metal of the faces. Where pores leave a resultant or a moment, tractions
-        linear over the same faces balance it: they act on what the mixed conditions hold, and the bound stays below these. None where
-        no part of the block joins all six faces, or one hangs by less than three points: it parts or bends without limit."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under uniform tractions or fluxes on the metal of the faces (lower bound). If
+        pores make a resultant force or moment, tractions that vary linearly over the same faces balance it. They act only on nodes
+        that the mixed conditions also hold, so that the result stays below the mixed one. None if no part of the block connects all
+        six faces, or a part is held at fewer than three points, because it could move without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
@@ -102,7 +106,7 @@ class Problem:
         return stiffness if least > LEAST * most else None
 
     def _driven(self, held: list[NDArray]) -> NDArray:
-        """Energies of the loads, per volume, where the components `held` follow the linear fields. Raises SolverError."""
+        """Energies of the loads, per volume, if the components `held` follow the linear fields. Raises SolverError."""
         answer = self.uniform(self.x).copy()
         alike = [next(k for k, own in enumerate(held) if (own == each).all()) for each in held]
         for first in dict.fromkeys(alike):
@@ -121,8 +125,8 @@ class Problem:
         return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
 
     def _leads(self, held: NDArray) -> tuple[csr_array, NDArray]:
-        """Matrix (components n, f) from the free values to all values, and indices (f,) of the free values. A bonded value that is not
-        held follows from the facet opposite, whose own nodes can follow from an earlier body."""
+        """Matrix (components n, f) from the free values to all values, and indices (f,) of the free values. A bonded value that is
+        not held follows from the values of the opposite facet, whose nodes can in turn follow from an earlier body."""
         first = len(self.x) * np.arange(self.components)[:, None]
         nodes = (first + self.bonds.nodes).ravel()
         leaders = (first[..., None] + self.bonds.triangles).reshape(-1, 3)
@@ -139,7 +143,8 @@ class Problem:
         return csr_array(T[:, free]), free
 
     def _rigid(self) -> NDArray:
-        """Fields of no energy (components N, modes): translations and rotations, or a constant."""
+        """Fields (components N, modes) that have no energy: translations and rotations for displacement, a constant for
+        temperature."""
         n = len(self.x)
         if self.components == 1:
             return np.ones((n, 1))
@@ -151,8 +156,9 @@ class Problem:
 
 
 def elastic(block: Block, lame: NDArray, shear: NDArray) -> Problem:
-    """The elastic problem; lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the points opposite; what
-    touches slides without friction and bears pressure, and tension as far as this is no more than the residual pressure."""
+    """The elastic problem of a block. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the opposite
+    points. Touching surfaces slide without friction and carry pressure; they carry tension as long as it is below the residual
+    pressure."""
     of_lame, of_shear = (gradient_products(block.points, block.tets, each) for each in (lame, shear))
     laplacian = of_shear[0][0] + of_shear[1][1] + of_shear[2][2]
     rows = [
@@ -171,8 +177,8 @@ def elastic(block: Block, lame: NDArray, shear: NDArray) -> Problem:
 
 
 def conducting(block: Block, conductivity: NDArray, conductance: float) -> Problem:
-    """The problem of conduction; conductivity (m,) W/mK of each tetrahedron, conductance W/(m2 K) of what touches without a bond.
-    Bonded nodes have the temperature of the points opposite."""
+    """The conduction problem of a block. conductivity (m,) W/mK: conductivity of each tetrahedron; conductance (W/(m2 K)): of
+    surfaces that touch without a bond. Bonded nodes have the temperature of the opposite points."""
     products = gradient_products(block.points, block.tets, conductivity)
     K = products[0][0] + products[1][1] + products[2][2]
     touching = block.joints.only(~block.joints.bonded)
@@ -181,7 +187,7 @@ def conducting(block: Block, conductivity: NDArray, conductance: float) -> Probl
 
 
 def _jump(joints: Joints, n: int) -> csr_array:
-    """The difference (k,n) between each node of the joints and the point opposite."""
+    """The difference (k,n) between the value at each node of the joints and the value at the opposite point."""
     rows = np.repeat(np.arange(len(joints.nodes)), 4)
     columns = np.column_stack([joints.nodes, joints.triangles]).ravel()
     values = np.column_stack([np.ones(len(joints.nodes)), -joints.weights]).ravel()
@@ -189,7 +195,7 @@ def _jump(joints: Joints, n: int) -> csr_array:
 
 
 def _problem(block: Block, K: csr_array, components: int) -> Problem:
-    """The problem with the faces of the block."""
+    """The `Problem` of a block, with the nodes on its faces."""
     n = len(block.points)
     area, on, vectors = np.zeros((3, n)), np.zeros((3, n), bool), area_vectors(block.points, block.walls)
     for axis in range(3):
@@ -199,7 +205,8 @@ def _problem(block: Block, K: csr_array, components: int) -> Problem:
 
 
 def _solved(K: csr_array, load: NDArray) -> tuple[NDArray, bool]:
-    """The solution, and whether it was not found in ITERATIONS. The matrix may be singular where the load does no work."""
+    """The solution of the linear system, and whether it was not found within ITERATIONS. The matrix may be singular for motions on
+    which the load does no work."""
     diagonal = K.diagonal()
     scale = diags_array(1.0 / np.where(diagonal > 0.0, diagonal, 1.0))
     x, unfinished = cg(K, load, rtol=TOLERANCE, maxiter=ITERATIONS, M=scale)

@@ -1,4 +1,4 @@
-"""Effective properties of a coating from its run: which block, its stiffness and conductivities, and their errors."""
+"""Effective properties of a coating from its run: choice of the block, its stiffness and conductivities, and their errors."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ KINDS = {  # of property: name, unit, factor on SI for a screen, unit then
 
 @dataclass(frozen=True)
 class Bracket:
-    """A property of the bulk, and of the block under each condition; static None: a part hangs loose, and the bound is zero. unit: SI.
-    error: standard error of the mixed one, from the four quarters of the block, None where they are too small; size: mixed of the
-    block less the mean of the quarters."""
+    """One property: the value of the bulk metal, and the values of the block under each condition, SI unit. static: None if a part of
+    the block is loose; the lower bound is then zero. error: standard error of the mixed value, from the four quarters of the block,
+    None if the quarters are too small; size: mixed value of the block minus the mean of the quarters."""
 
     unit: str
     bulk: float
@@ -57,10 +57,11 @@ class Bracket:
 class Properties:
     """Effective properties of a block of a cold coating.
 
-    side, height m: of the block; splats: how many fill its volume; solid: share of it that is metal; open_share: of its columns, whose
-    metal ends below its top; bonded: share of the area of joints that is bonded; gap: volume between bonded surfaces, which counts as
-    metal, over that of the block; stiffness: 6x6 Pa in Voigt's order (xx yy zz yz xz xy) by condition, static None as in `Bracket`;
-    values: property -> its bracket; warnings.
+    side, height (m): dimensions of the block; splats: number of splats that fill its volume; solid: fraction of its volume that is
+    metal; open_share: fraction of its vertical columns whose metal ends below its top; bonded: fraction of the joint area that is
+    bonded; gap: volume between bonded surfaces, which counts as metal, divided by the volume of the block; stiffness: 6x6 matrix (Pa)
+    in Voigt's order (xx yy zz yz xz xy) for each condition, static None as in `Bracket`; values: bracket of each property; warnings:
+    texts.
     """
 
     side_m: float
@@ -81,9 +82,10 @@ def properties(
 ) -> Properties:  # fmt: skip
     """Effective properties of a run's cold coating.
 
-    side: of the block in the plane, m (default: the square in the disc that `coating` measures); heights: its lowest and highest z, m
-    (default: from above 99 % of the substrate to below 90 % of the tops); conductance: of facets that touch, W/(m2 K) (default:
-    CONDUCTANCE). Raises StoreError where the run has no cold coating, or the block is too small for its splats.
+    side (m): edge of the block in the plane of the surface (default: the square in the disc that `coating` measures); heights (m):
+    lowest and highest z of the block (default: from above 99 % of the substrate to below 90 % of the tops); conductance (W/(m2 K)):
+    of facets that touch (default: CONDUCTANCE). Raises StoreError if the run has no cold coating, or the block is too small for its
+    splats.
     """
     splats = read(result)
     if not splats.is_cold:
@@ -104,7 +106,7 @@ def properties(
 
 
 def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:
-    """The error of each mixed property from runs of other seeds; none of one run."""
+    """The error of each mixed property from runs with different seeds; no errors for a single run."""
     if len(several) < 2:
         return {}
     shared = [key for key in several[0].values if all(key in each.values for each in several)]
@@ -113,24 +115,24 @@ def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:
 
 @dataclass(frozen=True)
 class Sample:
-    """A block, the metals of all bodies, and splats in its volume."""
+    """A block, the metals of all bodies, and the number of splats that fill its volume."""
 
     block: Block
     metals: list[Material]
     splats: float
 
     def of_each(self, value: Callable[[Material], float]) -> NDArray:
-        """A value of the metal of each tetrahedron (m,)."""
+        """The values (m,) of a metal's property for each tetrahedron. value: function that gives the property of a metal."""
         return np.array([value(metal) for metal in self.metals])[self.block.body]
 
     def mean(self, value: Callable[[Material], float]) -> float:
-        """Mean over the metal's volume."""
+        """Mean of a metal's property over the volume of the metal."""
         return float(np.average(self.of_each(value), weights=volumes(self.block.points, self.block.tets)))
 
 
 def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
-    """Lowest and highest corner (3,) m of the block that is asked for, and the share of its columns whose metal ends below its top.
-    Raises StoreError where it reaches into the substrate, lies above the coating, or is narrower than a column."""
+    """Lowest and highest corner (3,) m of the requested block, and the fraction of its vertical columns whose metal ends below its
+    top. Raises StoreError if the block reaches into the substrate, lies above the coating, or is narrower than a column."""
     half = disc_radius(splats) / np.sqrt(2.0) if side is None else 0.5 * side
     columns = Columns(splats, (0.0, 0.0), np.sqrt(2.0) * half, 2.0 * COLUMN * splats.element_size)
     inside = np.maximum(abs(columns.x), abs(columns.y)) <= half
@@ -148,7 +150,7 @@ def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | 
 
 
 def _cut(splats: Splats, metals: list[Material], low: NDArray, high: NDArray) -> Sample:
-    """The block between two corners (3,) m. Raises StoreError where it is too small for its splats."""
+    """The block between two corners (3,) m. Raises StoreError if it is too small for its splats."""
     mesh, own = splats.mesh, splats.body > 0
     of_splat = np.abs(volumes(mesh.points, mesh.cells[own])).sum() / max(len(splats.impact) - 1, 1)
     held = float(np.prod(high - low) / of_splat)
@@ -189,7 +191,8 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
 
 
 def moduli(stiffness: NDArray) -> dict[str, float]:
-    """Young's and shear moduli, Pa, in plane (for the mean compliance of x and y) and across, of a stiffness (6,6) Pa."""
+    """Young's moduli and shear moduli, Pa, of a stiffness (6,6) Pa: in the plane (from the mean compliance of x and y) and across
+    it."""
     least = 1e-12 * abs(stiffness).max() * np.eye(6)  # where all is loose
     S = np.linalg.inv(stiffness + least).diagonal().tolist()
     return {
@@ -203,8 +206,8 @@ def _elastic(sample: Sample) -> Problem:
 
 
 def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, Bracket]:
-    """Conductivities of heat, W/mK, and of electricity, S/m, at the greatest and the least conductance of what touches; of the bulk
-    metal's electric one by the law of Wiedemann and Franz."""
+    """Thermal conductivities (W/mK) and electrical conductivities (S/m), for the greatest and the least conductance of surfaces that
+    touch. The electrical conductivity of the bulk metal follows from the law of Wiedemann and Franz."""
     bulk, block = sample.of_each(lambda m: m.k_at(ROOM)), sample.block
     mean, values = sample.mean(lambda m: m.k_at(ROOM)), {}
     of_element = mean / float(np.cbrt(block.volume / len(block.tets)))

@@ -1,6 +1,7 @@
-"""Output for people: pictures of the cut, tables, a page, an animation, a comparison. Reads results, imports no solver.
+"""Output for people: pictures of the cross-section, tables, an HTML report, animations, comparisons. It reads results and imports no
+solver.
 
-Matplotlib, which takes as long to load as a coarse impact to compute, is loaded for the first picture.
+Matplotlib is imported only for the first picture, because its import takes as long as the computation of a coarse impact.
 """
 
 from importlib import import_module

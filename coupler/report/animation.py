@@ -1,4 +1,4 @@
-"""A film of the cross-section, MP4 (by ffmpeg) or GIF; all pictures have the same extent, colours and scale bar."""
+"""An animation of the cross-section as MP4 (written by ffmpeg) or GIF. All pictures have the same extent, colours and scale bar."""
 
 import contextlib
 import shutil
@@ -30,7 +30,7 @@ def animate(
     result: Result, path: str | Path | None = None, field: str = "T", fps: float | None = None,
     stage: Callable[[str], None] = lambda text: None,
 ) -> Path:  # fmt: skip
-    """Write a film of the cross-section through particle and target, with a picture for each stored step. Returns the path.
+    """Write an animation of the cross-section through particle and target, with a picture for each stored step. Returns the path.
 
     path: an .mp4 file, which needs ffmpeg, or a .gif file; default: `<field>.mp4` (without ffmpeg `<field>.gif`) in the folder of the
     run. field: key in `fields.FIELDS`. fps: pictures in a second; default: the film lasts about SECONDS. stage(text): called with the
@@ -54,7 +54,8 @@ def animate(
 
 
 def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
-    """The pictures (rows, columns, 3), all of one size with even numbers of rows and columns, as a film requires."""
+    """The pictures (rows, columns, 3) of the animation. They have one size, with even numbers of rows and columns, as a video file
+    requires."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
@@ -69,7 +70,7 @@ def frames(result: Result, field: str, told: Callable[[str], None] = lambda text
 
 
 def ffmpeg() -> str | None:
-    """The ffmpeg program of the system or of the optional package imageio-ffmpeg; None without both."""
+    """The ffmpeg program of the system, or that of the optional package imageio-ffmpeg; None if neither is installed."""
     try:
         import imageio_ffmpeg
 

@@ -1,4 +1,4 @@
-"""Curves of a run for the page: energy, motion, time step, profiles over depth.
+"""Curves of a run for the report: energy, motion, time step, fields against depth.
 
 Each figure is a dict with `traces` and `layout` of plotly.js, which draws it in the browser.
 """
@@ -45,8 +45,8 @@ MOMENT = 1e-13  # s: invisible on the page, but more than its rounding
 
 
 def energy(history: History) -> Figure | None:
-    """The ledger over time as stacked areas, each impact in % of the kinetic energy of its particle; None without the columns. "other"
-    is the part of the recorded total that is in no column."""
+    """The terms of the energy ledger against time, as stacked areas in % of the kinetic energy of each particle; None if the history
+    lacks the columns. "other" is the part of the recorded total that is in no column."""
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
     history, starts = _apart(history)
@@ -73,8 +73,8 @@ def energy(history: History) -> Figure | None:
 
 
 def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
-    """The history with two rows of NaN between impacts, so that no curve connects them; and the index of the first row of each
-    impact."""
+    """The history with two rows of NaN between impacts, so that no curve connects two impacts. Returns also the index of the first
+    row of each impact."""
     time = history["time"]
     firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
     apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
@@ -84,7 +84,7 @@ def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
 
 
 def over_time(history: History, name: str) -> Figure | None:
-    """A figure of CURVES; None without the columns."""
+    """A figure of CURVES against time; None if the history lacks the columns."""
     label, factor, columns = CURVES[name]
     history = _apart(history)[0] if len(history.get("time", ())) else history
     traces = [
@@ -96,7 +96,7 @@ def over_time(history: History, name: str) -> Figure | None:
 
 
 def compared(histories: Mapping[str, History], column: str, label: str, factor: float) -> Figure | None:
-    """One column of several runs over time; None without it. histories: name of the run -> history."""
+    """One column of several runs against time; None if a history lacks it. histories: history of each run by its name."""
     traces = []
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
@@ -117,7 +117,8 @@ def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
 def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
-    """A field along the axis at several times, with depth downwards; None without it. span: least and greatest depth to show, um."""
+    """A field along the axis at several times; the depth increases downwards. None if the field is missing. span: smallest and
+    largest depth to show, um."""
     traces = []
     for time, colour in shades(profile.time for profile in profiles).items():
         own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]
@@ -126,13 +127,13 @@ def with_depth(
 
 
 def shades(times: Iterable[float]) -> dict[float, str]:
-    """Time -> colour; later times are darker."""
+    """A colour for each time. Later times are darker."""
     each = sorted(set(times))
     return {t: to_hex(colormaps["viridis_r"](0.15 + 0.85 * (k / max(len(each) - 1, 1)))) for k, t in enumerate(each)}
 
 
 def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) -> Figure | None:
-    """Normal stresses along the axis, from profiles of one time, with depth downwards. span: as in `with_depth`."""
+    """Normal stresses along the axis at one time; the depth increases downwards. span: as in `with_depth`."""
     lines = [(profile, profile.values["stress"] * 1e-6) for profile in profiles if "stress" in profile.values]
     traces = [
         _down([(p, values[:, k]) for p, values in lines], f"σ<sub>{axis}</sub>", LINES[k], DASHES[k])
@@ -142,7 +143,7 @@ def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) ->
 
 
 def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> Trace:
-    """Values of several bodies as one curve with gaps between the bodies."""
+    """Values of several bodies as one curve, with a gap between two bodies."""
     gap = [np.nan]
     x = np.concatenate([part for _, values in lines for part in (values, gap)])
     y = np.concatenate([part for profile, _ in lines for part in (profile.depth * 1e6, gap)])
@@ -169,6 +170,6 @@ def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
 
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
-    """One curve, rounded to seven digits; NaN makes a gap."""
+    """The data of one curve, rounded to seven digits; NaN makes a gap."""
     places = ([float(f"{value:.7g}") if np.isfinite(value) else None for value in values] for values in (x, y))
     return {**dict(zip("xy", places, strict=True)), "name": name, "mode": "lines", "line": {"width": 1.8, **line}}

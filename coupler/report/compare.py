@@ -1,4 +1,4 @@
-"""Runs side by side: a table for a terminal, a figure, a page."""
+"""Comparison of several runs: a table for a terminal, a picture, an HTML page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def names_of(results: Sequence[Result]) -> list[str]:
 
 
 def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
-    """(dotted key, its value in each run) for keys of the scenes that differ between runs; "" for a run without the key."""
+    """Keys of the scenes that differ between runs: (key with dots, its value in each run); "" for a run without the key."""
     scenes = [{key: _text(value) for key, value in leaves(parts.scene_of(result))} for result in results]
     keys = dict.fromkeys(key for scene in scenes for key in scene)
     entries = [(key, [scene.get(key, "") for scene in scenes]) for key in keys]
@@ -47,8 +47,8 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
 
 
 def comparison_table(results: Sequence[Result]) -> Table:
-    """Differences of the scenes and all measures, a column for each run; for two runs also the change in %. Raises StoreError if a
-    summary is damaged, or for fewer than 2 or more than MOST runs."""
+    """Differences between the scenes, and all measures, with one column for each run. For two runs there is also the change in %.
+    Raises StoreError if a summary is damaged, or for fewer than 2 or more than MOST runs."""
     check_count(len(results))
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
@@ -67,7 +67,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
 
 
 def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
-    """The measures of the runs with their errors; for two runs also the change, and whether it lies within both errors."""
+    """The measures of the runs with their errors. For two runs there is also the change, and whether it is within both errors."""
     entries, errors = [plain(result.values) for result in results], [errors_of(result.summary) for result in results]
     groups = table_lines(entries)
     for group, lines in groups.items():
@@ -81,8 +81,8 @@ def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
 
 
 def comparison_picture(results: Sequence[Result]) -> Figure:
-    """The last cut of each run, by temperature and by plastic strain, with one scale and one range of colours. Raises StoreError if a
-    run has nothing that can be drawn."""
+    """The cross-sections of all runs at their last steps, coloured by temperature and by plastic strain, with one scale and one
+    colour range. Raises StoreError if a run has nothing to draw."""
     check_count(len(results))
     names = [name for name in ("T", "eps_p") if all(name in picture.drawable(result) for result in results)]
     empty = [str(result.directory) for result in results if not picture.drawable(result)]
@@ -113,8 +113,8 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
 
 
 def compare(results: Sequence[Result], path: str | Path) -> Path:
-    """Write the comparison: a figure if the path ends in .png, a page if it ends in .html. Returns the path. Raises StoreError if a run
-    lacks needed data, the path has another ending, or the file cannot be written."""
+    """Write the comparison: a picture if the path ends in .png, a page if it ends in .html. Returns the path. Raises StoreError if a
+    run lacks needed data, the path has another ending, or the file cannot be written."""
     path = Path(path)
     if path.suffix.lower() == ".png":
         picture.save(comparison_picture(results), path)
@@ -126,7 +126,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
 
 
 def comparison_page(results: Sequence[Result]) -> str:
-    """The comparison as an HTML page with figure, table and curves."""
+    """The comparison as an HTML page with picture, table and curves."""
     check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
@@ -148,14 +148,14 @@ def comparison_page(results: Sequence[Result]) -> str:
 
 
 def check_count(runs: int) -> None:
-    """Raise StoreError unless a comparison is possible for this number of runs."""
+    """Raise StoreError if this number of runs cannot be compared."""
     if not 2 <= runs <= MOST:
         raise StoreError(f"compare: give 2 to {MOST} folders of runs, not {runs}")
 
 
 def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture.Cut], tuple[float, float, float]]:
-    """The cross-section of each run at its last step, all with views of one size; and half the width of the views, their bottom and top
-    relative to the surface, um."""
+    """The cross-section of each run at its last step, all with pictures of one size. Returns also half the width of the pictures, and
+    their bottom and top relative to the surface, um."""
     stages = [picture.stage(result) for result in results]
     steps = [picture.stored_steps(result) - 1 for result in results]
     own = [picture.view(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]

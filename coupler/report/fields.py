@@ -14,8 +14,9 @@ NEAR = 12  # points over which a value inside the particle is averaged
 
 @dataclass(frozen=True)
 class Field:
-    """label, unit: as displayed; factor: from SI to this unit; colours: colour map of matplotlib; floor: least possible value, None
-    without one; least_range: smallest range of the colours in this unit, below which they would show noise."""
+    """A field in pictures. label, unit: as displayed; factor: from SI to this unit; colours: colour map of matplotlib; floor: least
+    possible value, None if there is none; least_range: smallest range of the colour scale, in this unit, because a smaller range
+    would show only noise."""
 
     label: str
     unit: str
@@ -40,8 +41,8 @@ FIELDS = {
 
 
 def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple[NDArray[np.int64], NDArray]:
-    """Interpolation from points (n, 3) m to places (k, 3) m. Returns indices of points and weights, (k, j) each; the weights of a place
-    sum to one. void: m; a place farther than this from all points is outside the metal, and its weights are NaN."""
+    """Interpolation from points (n, 3) m to places (k, 3) m. Returns indices of points and weights, (k, j) each. The weights of a
+    place sum to one. void (m): if a place is farther than this from all points it is outside the metal, and its weights are NaN."""
     near = min(NEAR, len(points))
     tree, inside = cKDTree(points), np.arange(len(places))
     distance, index = np.full((len(places), near), np.inf), np.zeros((len(places), near), np.int64)

@@ -1,4 +1,4 @@
-"""A result as a notebook shows it: verdict and measures as on the first screen after a run, and the section."""
+"""A result in a notebook: verdict and measures, as on the terminal after a run, and the cross-section."""
 
 import base64
 import io
@@ -14,7 +14,7 @@ _DPI = 72  # a picture of about 100 kB
 
 
 def html(result: Result) -> str:
-    """HTML of a result. Raises no Exception: what is missing or damaged is named in its place."""
+    """The HTML of a result. It raises no Exception: if something is missing or damaged, a text names it in its place."""
     parts = []
     for name, part in (("measures", _measures), ("section", _section)):
         try:

@@ -1,4 +1,4 @@
-"""One HTML file about one run, which any browser opens offline: it contains all its parts."""
+"""The HTML report of one run: a single file that contains all its parts. Any browser opens it without a network."""
 
 import base64
 import io
@@ -33,7 +33,7 @@ PICTURE_PIXELS = 260  # along the particle: a picture has a third of the width o
 
 
 class Page:
-    """A page under construction: sections with headings, and data of its curves and its 3D view."""
+    """A report under construction: sections with headings, and the data of its curves and its 3D view."""
 
     def __init__(self) -> None:
         self.sections: list[tuple[str, str, str]] = []  # id, heading, HTML
@@ -46,7 +46,7 @@ class Page:
             self.sections.append((name, heading, body))
 
     def chart(self, name: str, figure: charts.Figure | None, heading: str = "") -> str:
-        """Add a curve. Returns its HTML element; "" without a figure."""
+        """Add a curve. Returns its HTML element; "" if there is no figure."""
         if figure is None:
             return ""
         self.charts[name] = figure
@@ -54,7 +54,7 @@ class Page:
         return f'<figure>{head}<div class="chart" id="{name}"></div></figure>'
 
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
-        """Text of the whole HTML file."""
+        """The text of the HTML file."""
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
         text = {
             kind: (files(__package__) / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
@@ -71,9 +71,9 @@ def write_report(
     result: Result, path: str | Path | None = None, stage: Callable[[str], None] = lambda text: None,
     coating: Sequence[tuple[str, str]] = (),
 ) -> Path:  # fmt: skip
-    """Write the page about a run, finished or not. path: default `report.html` in the folder of the run. stage(text): called with the
-    name of each step. coating: measures of the coating as (label, text), from `studies.coating.lines`. Returns the path. Raises
-    StoreError if a file of the run is damaged or the page cannot be written."""
+    """Write the HTML report of a run, finished or not. path: default `report.html` in the folder of the run. stage(text): function
+    called with the name of each step. coating: measures of the coating as (label, text), from `studies.coating.lines`. Returns the
+    path. Raises StoreError if a file of the run is damaged or the report cannot be written."""
     path = Path(path) if path is not None else result.directory / "report.html"
     write_text(path, report(result, stage, coating))
     return path
@@ -82,7 +82,7 @@ def write_report(
 def report(
     result: Result, stage: Callable[[str], None] = lambda text: None, coating: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """The page about a run as HTML. stage, coating: as of `write_report`."""
+    """The HTML report of a run as text. stage, coating: as in `write_report`."""
     page, summary, values = Page(), result.summary, result.values
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     conditions = parts.conditions(result)
@@ -147,14 +147,14 @@ def picks(result: Result) -> list[int]:
 
 
 def embedded(figure: Figure) -> str:
-    """A figure of matplotlib as the data URL of a PNG."""
+    """A figure of matplotlib as the data URL of a PNG image."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return image_of(stream.getvalue())
 
 
 def image_of(png: bytes) -> str:
-    """The data URL of a PNG."""
+    """The data URL of a PNG image."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
@@ -172,7 +172,7 @@ their range has the last one.</p>"""
 
 
 def _named_times(summary: Summary) -> dict[str, float]:
-    """Label -> time of the greatest deformation of each impact, s after the start of the run."""
+    """The time of the greatest deformation of each impact by its label, s after the start of the run."""
     entries, times, start = summary.get("impacts", []), {}, 0.0
     for number, entry in enumerate(entries, 1):
         time, lasted = ((entry.get(block) or {}).get("time_s") for block in ("greatest", "end"))
@@ -219,7 +219,8 @@ def _so_far(history: Mapping[str, NDArray]) -> str:
 
 
 def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
-    """Pictures of the cross-section: a row for each time, a picture for each field. named: label -> time, s, for the captions."""
+    """Pictures of the cross-section: one row for each time, one picture for each field. named: time (s) by label, for the
+    captions."""
     pictures = []
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"
@@ -232,7 +233,7 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
 
 
 def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
-    """A cross-section coloured by one field, with the colour bar below."""
+    """A cross-section coloured by one field, with the colour bar below it."""
     left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches
     tall = wide * (top - bottom) / (right - left)

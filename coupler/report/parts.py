@@ -1,4 +1,4 @@
-"""Parts of the page as HTML: tables and lists. Texts of a run are escaped here."""
+"""Parts of the report as HTML: tables and lists. Texts that come from a run are escaped here."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -38,8 +38,8 @@ def table(
     off: Sequence[int] = (),
     stack: bool = False,
 ) -> str:
-    """A table of texts. numbers: indices of right-aligned columns; off: indices of grey rows; a head of empty texts is left out. stack:
-    on a narrow screen the cells of a row are stacked, each after its head."""
+    """A table of texts. numbers: indices of right-aligned columns; off: indices of grey rows; a head whose texts are all empty is
+    left out. stack: on a narrow screen the cells of a row appear one below the other, each after its column heading."""
     kinds = ["n" if k in numbers else "" for k in range(len(head))]
     above = f"<thead>{_row(head, kinds, 'th')}</thead>" if any(head) else ""
     heads = head if stack else ()
@@ -63,7 +63,7 @@ def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str 
 
 
 def front(summary: Summary) -> str:
-    """The main measures with their errors; with several impacts a row for each of the first FRONT_ROWS."""
+    """The main measures with their errors. For several impacts there is a row for each of the first FRONT_ROWS impacts."""
     (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
     more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
     note = escape("; ".join(text for text in (more, words.of_run(summary), words.error_note(summary)) if text))
@@ -73,8 +73,8 @@ def front(summary: Summary) -> str:
 
 
 def measures(summary: Summary) -> str:
-    """All measures of a run, a table for each group. A single impact: with errors, if there are any. Several impacts: measures of the
-    whole run alone."""
+    """All measures of a run, with one table for each group. For a single impact: with their errors, if these are known. For several
+    impacts: only the measures of the whole run."""
     is_one = len(summary.get("impacts", [])) == 1
     blocks = columns(summary) if is_one or not summary else {"": plain(summary["run"])}
     errors = errors_of(summary) if is_one else {}
@@ -100,7 +100,8 @@ def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) 
 
 
 def each_impact(summary: Summary) -> str:
-    """The impacts of a run with several: up to SIDE_BY_SIDE side by side with all measures, more in rows with the main measures."""
+    """All impacts of a run with several. Up to SIDE_BY_SIDE impacts are columns with all measures; if there are more, each impact is
+    a row with the main measures."""
     entries = impacts(summary)
     if len(entries) > SIDE_BY_SIDE:
         head, *rows = brief(summary)
@@ -118,7 +119,7 @@ COLD_ROWS = (
 
 
 def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
-    """Results of the closing stage: lines of `coating` about stress, and COLD_ROWS."""
+    """Results of the closing stage: the rows COLD_ROWS, and the lines of `coating` about stress."""
     closing = summary.get("closing", {})
     known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
     stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]
@@ -134,7 +135,7 @@ def scene_of(result: Result) -> Values:
 
 
 def conditions(result: Result) -> str:
-    """Particles, target, contact, adhesion, end and resolution, from the plan of the run; "" without a plan."""
+    """Particles, target, contact, adhesion, end and resolution from the plan of the run; "" if there is no plan."""
     plan = result.plan
     if not plan:
         return ""
@@ -164,7 +165,7 @@ def conditions(result: Result) -> str:
 
 
 def _resolution(plan: Values, summary: Summary) -> list[str]:
-    """Texts: number of points of all particles with their spacings; size of the elements of the substrate."""
+    """Two texts: the numbers of points of all particles with their spacings, and the element sizes of the substrate."""
     both = list(zip(plan["impacts"], summary.get("impacts") or [{}] * len(plan["impacts"]), strict=False))
     points = [own.get("points", planned["points"]) for planned, own in both]
     spacings = [own.get("spacing_m", planned["spacing"]) for planned, own in both]
@@ -214,7 +215,7 @@ def provenance(summary: Summary) -> str:
 
 
 def effects(result: Result) -> str:
-    """The effects that are on or off in the run, with the reasons, from its plan."""
+    """The effects that are on or off in the run, with the reasons, from the plan of the run."""
     if not result.plan:
         return '<p class="note">Not known: this run has no readable plan.json.</p>'
     rows = []
@@ -226,7 +227,7 @@ def effects(result: Result) -> str:
 
 
 def material_data(result: Result) -> str:
-    """The constants of the materials with their sources, collapsed; "" without a plan."""
+    """The constants of the materials with their sources, as a part that the reader can open; "" if there is no plan."""
     if not result.plan:
         return ""
     bodies = [body["material"] for body in (*result.plan["impacts"], result.plan["target"])]
@@ -248,12 +249,12 @@ def material_data(result: Result) -> str:
 
 
 def warnings(texts: Sequence[object] | None) -> str:
-    """The warnings of a run or of its plan; "" without any."""
+    """The warnings of a run or of its plan; "" if there are none."""
     return f'<div class="warn">{items(map(str, texts))}</div>' if texts else ""
 
 
 def items(texts: Iterable[str], kind: str = "") -> str:
-    """A list of texts; "" without any. kind: CSS class."""
+    """A list of texts; "" if there are none. kind: CSS class."""
     lines = "".join(f"<li>{escape(text)}</li>" for text in texts)
     head = f'<ul class="{kind}">' if kind else "<ul>"
     return f"{head}{lines}</ul>" if lines else ""

@@ -45,7 +45,7 @@ View = tuple[float, float, float, float]  # left, right, bottom, top, um
 
 
 class Range(NamedTuple):
-    """Ends of the colour scale of a field, in the units of `FIELDS`; exceeded: some values lie clearly above `high`."""
+    """Limits of the colour scale of a field, in the units of `FIELDS`. exceeded: whether some values are clearly above `high`."""
 
     low: float
     high: float
@@ -54,8 +54,9 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class Stage:
-    """Position of all cross-sections of a run, from its first step. plane: y, m; level: height of the undeformed surface, um;
-    diameter: of the particle, um; void: a place in the particle farther than this from all points is hollow, m."""
+    """The plane and the reference values of all cross-sections of a run, from its first step. plane: y (m); level: height of the
+    undeformed surface, um; diameter: diameter of the particle, um; void: if a place in the particle is farther than this from all
+    points, it counts as hollow, m."""
 
     plane: float
     level: float
@@ -91,7 +92,7 @@ def stored_steps(result: Result) -> int:
 
 
 def drawable(result: Result) -> list[str]:
-    """Keys of FIELDS that both particle and target have; empty without a stored step."""
+    """Keys of FIELDS that particle and target both have; empty if no step is stored."""
     if not stored_steps(result):
         return []
     first = [result.fields(0, domain).data for domain in ("particle", "target")]
@@ -99,8 +100,8 @@ def drawable(result: Result) -> list[str]:
 
 
 def stage(result: Result) -> Stage:
-    """The position of the cross-sections of a run: through the middle of the particle at the start; with several particles, the first
-    plane through a centre that cuts the most of them. Raises StoreError without a stored step."""
+    """The `Stage` of a run. The plane goes through the middle of the particle at the start. For several particles it is the first
+    plane through a particle centre that cuts most of them. Raises StoreError if no step is stored."""
     if not stored_steps(result):
         raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: draw it later")
     particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
@@ -111,8 +112,8 @@ def stage(result: Result) -> Stage:
 
 
 def _most_cut(plan: Values, first: float) -> float:
-    """The plane y (m) through the centre of a particle of a plan that cuts the most particles. first: y (m) of the first particle, the
-    result without a readable plan."""
+    """The plane y (m) through the centre of a particle that cuts the largest number of particles of a plan. first: y (m) of the first
+    particle, which is the result if the plan cannot be read."""
     try:
         impacts = [(float(each["offset"][1]), float(each["diameter"])) for each in plan["impacts"]]
     except (KeyError, TypeError, IndexError, ValueError):  # no readable plan
@@ -123,8 +124,8 @@ def _most_cut(plan: Values, first: float) -> float:
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
-    """Extent of a picture, um: particle, splats and jets at all given steps, with a margin. A particle that flies away does not enlarge
-    the picture beyond FAR diameters above the highest part of the target."""
+    """Extent of a picture, um. It includes particle, splats and jets at all given steps, with a margin. A particle that flies away
+    enlarges the picture at most up to FAR diameters above the highest part of the target."""
     ends, D = [], at.diameter
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
@@ -153,7 +154,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, 
 
 
 def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
-    """The cross-section of tetrahedra alone; arguments as for `cut`."""
+    """The cross-section of tetrahedra without a particle; arguments as in `cut`."""
     polygons, _ = section_of_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
@@ -170,8 +171,8 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
 
 
 def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Lines (r, 2, 2), um, in which the plane cuts the surfaces of substrate and splats; mask (r,) of the lines of the substrate, all
-    False without splats."""
+    """Lines (r, 2, 2), um, where the plane crosses the surfaces of substrate and splats. Returns also the mask (r,) of the lines of
+    the substrate, which is all False if there are no splats."""
     skin, owner = boundary_faces(target.cells)
     body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
     parts = [
@@ -183,8 +184,8 @@ def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]
 
 
 def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
-    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS; the scale of the in-plane stress is
-    symmetric about 0. Raises StoreError if the run has no closing stage."""
+    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS. The scale of the in-plane stress is symmetric
+    about 0. Raises StoreError if the run has no closing stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
     section = cut_bodies(bodies, COLD_FIELDS, at, seen)
@@ -218,7 +219,8 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
 def _images(
     particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
 ) -> tuple[dict[str, NDArray], View]:
-    """Fields of the particle on pixels over its cross-section, averaged over the nearest points, NaN in voids; and the extent, um."""
+    """Fields of the particle as pixels over its cross-section, averaged over the nearest points, NaN in voids. Returns also the
+    extent of the pixels, um."""
     if not loops:
         return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
     corners = np.concatenate(loops)
@@ -237,7 +239,7 @@ def _images(
 
 
 def colour_range(cuts: Sequence[Cut], name: str) -> Range:
-    """The colour scale of a field, the same for all cross-sections."""
+    """The limits of the colour scale of a field for all cross-sections together."""
     field = FIELDS[name]
     parts = [part[np.isfinite(part)] for cut in cuts for part in (cut.values[name], cut.images[name])]  # without voids
     parts = [part for part in parts if part.size]
@@ -285,7 +287,7 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
 
 
 def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = False) -> None:
-    """Draw the colour bar of a field. length: of the bar, inches; across: horizontal."""
+    """Draw the colour bar of a field. length: length of the bar, inches; across: horizontal."""
     field = FIELDS[name]
     bar = box.figure.colorbar(
         ScalarMappable(Normalize(ends.low, ends.high), field.colours), cax=box,
@@ -296,7 +298,7 @@ def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = 
 
 
 def fitted(words: str, length: float) -> tuple[str, float]:
-    """Words in as few lines as are readable on a length (inches), and the size of their font, points."""
+    """Text divided into as few lines as are readable on a length (inches), and the font size, points."""
     label, size = words, 0.0
     for width in sorted({len(words), *(i for i, letter in enumerate(words) if letter == " ")}, reverse=True):
         lines = textwrap.wrap(words, width, break_long_words=False)
@@ -319,7 +321,7 @@ def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
 
 
 def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """A white figure of a size in inches, independent of a screen."""
+    """An empty white figure with a size in inches that does not depend on a screen."""
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
@@ -332,8 +334,8 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
 
 
 def label_log(axis: Axis, factor: float = 1.0) -> None:
-    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten; a short axis in even steps. factor: from the
-    values to the unit of the labels."""
+    """Label a logarithmic axis, whose limits are already set, at 1, 2, 5 times powers of ten; a short axis gets evenly spaced labels.
+    factor: from the values to the unit of the labels."""
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
@@ -344,7 +346,7 @@ LONGEST_HEADING = 56  # characters beside the time at the full size of the font
 
 
 def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
-    """A figure of one cross-section with a panel and a colour bar for each field of `ranges`, one below the other."""
+    """A figure of one cross-section, with a panel and a colour bar for each field of `ranges`. The panels are one below the other."""
     left, right, bottom, top = section.view
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
     tall, count = width * (top - bottom) / (right - left), len(ranges)

@@ -58,8 +58,8 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
 
 
 def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:
-    """Ascending heights (m) at which the vertical line at x, y (m) crosses a closed surface; it enters and leaves in turn. points
-    (n, 3) m; triangles (m, 3)."""
+    """Ascending heights (m) at which the vertical line at x, y (m) crosses a closed surface. The line enters the body at the first
+    height, leaves it at the second, and so on. points (n, 3) m; triangles (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     u, v = b[:, :2] - a[:, :2], c[:, :2] - a[:, :2]
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

@@ -1,4 +1,4 @@
-"""The text after a run for a terminal: verdict, converging measures, warnings; at most 30 lines."""
+"""The text on the terminal after a run, at most 30 lines: verdict, measures that converge, warnings."""
 
 import io
 import shutil
@@ -18,7 +18,7 @@ _WIDTH = 120  # columns where there is no terminal
 
 
 def screen(result: Result, verbose: bool = False) -> str:
-    """A finished run as text for a terminal. verbose: with all measures and remarks."""
+    """A finished run as text for a terminal. verbose: include all measures and remarks."""
     summary, doubts = result.summary, alerts(result.summary)
     notes, effects, warnings = remarks(summary), result.values.get("effects"), result.values.get("warnings") or ()
     if verbose and effects:

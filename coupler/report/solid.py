@@ -1,4 +1,4 @@
-"""The 3D view of the page: particle and target, whole or cut open, at several times, compact enough for one file.
+"""The 3D view of the report: particle and target, as a whole or cut open, at several times. The data are compact enough for one file.
 
 Numbers are little-endian 16-bit integers in base64: positions relative to the box of the view, values relative to their range.
 """
@@ -102,7 +102,8 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
 
 
 def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
-    """Lower and upper corner (2, 3) of the view, um: the particle at all times, up to the height `top`, and the target near it."""
+    """Lower and upper corner (2, 3) of the view, um. It contains the particle at all times, up to the height `top`, and the target
+    near the particle."""
     skins = [below for skin in skins if len(below := skin[skin[:, 2] < top])]
     low, high = (np.array([end(skin, axis=0) for skin in skins]) for end in (np.min, np.max))
     plane, D = at.plane * MICRO, at.diameter
@@ -119,7 +120,7 @@ def _reaches_into(corners: NDArray, box: NDArray) -> NDArray:
 
 
 def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: NDArray) -> Mesh:
-    """The surface of the target near the impact."""
+    """The part of the target's surface that is near the impact."""
     used, triangles = np.unique(skin[_reaches_into(points[skin], box)], return_inverse=True)
     return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
 
@@ -172,7 +173,7 @@ def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDA
 
 
 def _upright(places: NDArray, at: Stage) -> NDArray:
-    """Points (n, 3), um, from their x and z (n, 2) in the plane of the cross-section."""
+    """Points (n, 3), um, of the plane of the cross-section, from their x and z (n, 2)."""
     return np.stack([places[:, 0], np.full(len(places), at.plane * MICRO), places[:, 1]], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""The summary as text with labels and display units: one source for terminal, page and comparison."""
+"""The summary as text with labels and display units. Terminal, report and comparison all use these texts."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -41,7 +41,7 @@ Block = Mapping[str, object]  # measures of one impact or run at one time
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table of measures. cells: value in each block, "" for a block without it."""
+    """A line of a table of measures. cells: the value in each block, "" for a block without a value."""
 
     key: str
     label: str
@@ -50,7 +50,7 @@ class Line:
 
 
 def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = None) -> dict[str, list[Line]]:
-    """The measures of several blocks side by side: group -> lines. errors: of the last block (`errors_of`)."""
+    """The measures of several blocks in one table: the lines of each group. errors: errors for the last block (`errors_of`)."""
     groups: dict[str, list[Line]] = {group: [] for group in GROUPS}
     for key in dict.fromkeys(key for block in blocks for key in block):
         record, last = measure(key), (errors or {}).get(key)
@@ -61,8 +61,8 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """Heading -> values: the last impact at its greatest deformation, and at its end with all other values of impact and run
-    (`plain`)."""
+    """The values of each column by its heading: the last impact at its greatest deformation; its end, with all other values of impact
+    and run (`plain`)."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
@@ -70,7 +70,7 @@ def columns(summary: Summary) -> dict[str, Block]:
 
 
 def plain(values: Block) -> Block:
-    """The values that fit into a table of measures: without texts of the verdict, tables and lists of tables; without the rebound
+    """The values that belong into a table of measures. Texts of the verdict, tables and lists of tables are left out, and the rebound
     velocity of a particle that sticks."""
     hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
     first = {k: next(iter(value), {}) if isinstance(value, list) else value for k, value in values.items()}
@@ -104,13 +104,13 @@ def with_error(value: float, error: float) -> str:
 
 
 def errors_of(summary: Summary, i: int = -1) -> dict[str, float]:
-    """Measure -> its error at the end of impact i, SI."""
+    """The error of each measure at the end of impact i, SI."""
     entries = (summary["impacts"][i].get("errors") if summary else None) or {}
     return {key: float(entry["half_width"]) for key, entry in entries.items()}
 
 
 def error_note(summary: Summary) -> str:
-    """Text: how the errors of a run are measured, and which coarser runs failed; "" for a run without errors."""
+    """Text: how the errors of a run are measured, and which coarser runs failed; "" if the run has no errors."""
     record = (summary["run"].get("error") if summary else None) or {}
     failed = [str(text) for text in record.get("failed", [])]
     points = [str(n) for n in record.get("points", [])]
@@ -121,14 +121,14 @@ def error_note(summary: Summary) -> str:
 
 
 def impacts(summary: Summary) -> list[Block]:
-    """The values of each impact: measures at its end and all others (`plain`)."""
+    """The values of each impact: its measures at the end, and all other values (`plain`)."""
     return [plain(impact_values(summary, i)) for i in range(len(summary.get("impacts", [])))]
 
 
 def verdict(summary: Summary) -> list[str]:
-    """Text lines with the verdict of a run; empty without one. One particle: the verdict and what decides it. Several: how many stick,
-    and how many come off later; then a line for each particle. For more than MOST_VERDICTS: how many verdicts each method decides, and
-    the smallest margin."""
+    """Text lines with the verdict of a run; no lines if there is no verdict. One particle: the verdict and the values that decide it.
+    Several particles: how many stick, how many come off later, and a line for each particle. More than MOST_VERDICTS particles: how
+    many verdicts each method decides, and the smallest margin."""
     records = summary.get("impacts", [])
     counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
     if sum(counts.values()) == 0:
@@ -159,7 +159,7 @@ _WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
 
 
 def _with_reason(record: Block, of_several: bool = False) -> str:
-    """Text: verdict of a particle, its reason, margin and bonded area: "sticks: REASON; margin +12.3 m/s"."""
+    """Text: verdict of a particle with reason, margin and bonded area, as in "sticks: REASON; margin +12.3 m/s"."""
     word = str(record.get("verdict"))
     text = _VERBS.get((word, True), word) if of_several else word
     if lost := _lost_share(record):
@@ -172,7 +172,8 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
 
 
 def _bonded(record: Block) -> str:
-    """Text: the bonded area of an impact with computed bonds, "; bonded area 120 µm², 98.7 µm² at the end"; "" without bonds."""
+    """Text: the bonded area of an impact with computed bonds, as in "; bonded area 120 µm², 98.7 µm² at the end"; "" if bonds are not
+    computed."""
     first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
     if not isinstance(first, int | float):
         return ""
@@ -183,7 +184,7 @@ def _bonded(record: Block) -> str:
 
 
 def _lost_share(record: Block) -> float:
-    """Share of the mass of a particle that comes off after its impact."""
+    """Fraction of a particle's mass that comes off after its impact."""
     lost, whole = record.get("detached_mass_kg"), record.get("particle_mass_kg")
     if not isinstance(lost, int | float):
         return 0.0
@@ -191,7 +192,7 @@ def _lost_share(record: Block) -> float:
 
 
 def _come_off(records: Sequence[Block]) -> list[str]:
-    """Texts: which particles come off after their impact, completely or in part."""
+    """Texts: which particles come off completely or partly after their impact."""
     shares = {number: share for number, record in enumerate(records, 1) if (share := _lost_share(record))}
     whole = [number for number, share in shares.items() if share >= _WHOLE]
     stuck = [number for number in whole if records[number - 1].get("verdict") == STICKS]
@@ -205,7 +206,7 @@ def _come_off(records: Sequence[Block]) -> list[str]:
 
 
 def _decided_by(records: Sequence[Block]) -> list[str]:
-    """Text line: how many verdicts each method decides; empty if the records do not give the method."""
+    """Text line: how many verdicts each method decides; empty if the records do not name the method."""
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
     texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
@@ -214,7 +215,7 @@ def _decided_by(records: Sequence[Block]) -> list[str]:
 
 
 def _closest(records: Sequence[Block]) -> list[str]:
-    """Text line: the particle with the smallest margin; empty without margins."""
+    """Text line: the particle with the smallest margin; empty if no margins are known."""
     decided = [k for k, record in enumerate(records) if record.get("verdict") != UNDECIDED]
     margins = {k: abs(margin) for k in decided if isinstance(margin := records[k].get("margin_m_s"), int | float)}
     k = min(margins, key=margins.__getitem__, default=None)
@@ -222,7 +223,8 @@ def _closest(records: Sequence[Block]) -> list[str]:
 
 
 def alerts(summary: Summary) -> list[str]:
-    """The warning that makes the whole result doubtful (the first of the run): numerical dissipation above DISSIPATION_LIMIT."""
+    """The warning that makes the whole result doubtful: numerical dissipation above DISSIPATION_LIMIT. Only the first warning of the
+    run is returned."""
     warnings = summary["run"].get("warnings") if summary else None
     shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
     doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)
@@ -230,8 +232,8 @@ def alerts(summary: Summary) -> list[str]:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """Text lines: measures without a value with the reason, and the meaning of unusual values. Equal lines of several impacts are
-    merged."""
+    """Text lines: each measure without a value with the reason, and the meaning of unusual values. Equal lines of several impacts are
+    merged into one."""
     records = summary.get("impacts", [])
     lines: dict[str, list[int]] = {}  # text -> impacts
     for number, impact in enumerate(records, 1):
@@ -278,7 +280,8 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Text: sizes, metals, velocities and angles of all particles, and the target; the name of the folder without a readable plan."""
+    """Text: sizes, metals, velocities and angles of all particles, and the target. If the plan cannot be read: the name of the
+    folder."""
     try:
         plan, velocities, angles = result.plan, [], []
         groups: dict[str, list[float]] = {}
@@ -311,8 +314,8 @@ def span(values: Sequence[float]) -> str:
 
 
 def brief(summary: Summary, most: int | None = None, with_errors: bool = False) -> list[list[str]]:
-    """The main measures as rows of texts, the head first. One impact: a row for each measure. Several: a row for each of the first
-    `most` impacts."""
+    """The main measures as rows of texts; the first row is the heading. One impact: a row for each measure. Several impacts: a row
+    for each of the first `most` impacts."""
     if len(summary["impacts"]) == 1:
         groups = table_lines(list(columns(summary).values()), errors_of(summary))
         lines = [line for lines in groups.values() for line in lines if line.key in KEYS]
@@ -328,7 +331,7 @@ def brief(summary: Summary, most: int | None = None, with_errors: bool = False) 
 
 
 def of_run(summary: Summary) -> str:
-    """Text line: the main measures of a whole run with several impacts; "" for one impact."""
+    """Text line: the main measures of a whole run with several impacts; "" for a single impact."""
     whole = plain(summary["run"]) if len(summary["impacts"]) > 1 else {}
     return ", ".join(
         f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip()
@@ -369,6 +372,6 @@ def summary_table(result: Result) -> Table:
 
 
 def _particle_of(impact: Block) -> str:
-    """Diameter and material of the particle of an impact, for the head of its column, with non-breaking spaces; "" if unknown."""
+    """Diameter and material of the particle of an impact as column heading, with non-breaking spaces; "" if they are unknown."""
     known = [shown(key, impact[key]) for key in ("diameter_m", "material") if impact.get(key) is not None]
     return "\u00a0µm\u00a0".join(known) if len(known) == 2 else ""

@@ -1,4 +1,4 @@
-"""Records of a conversion: cloud of points, bodies of tetrahedra, reports."""
+"""Records of a conversion: cloud of points, bodies made of tetrahedra, reports."""
 
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypeAlias
@@ -25,10 +25,10 @@ LARGEST = 1e30  # of any value, SI: its square is still finite
 class Cloud(MetalState):
     """Points of one splat and their state; unknown fields are None. SI units.
 
-    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of this volume; rho:
-    reference density; velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J per
-    reference m3; surface: vertices (k,3) and triangles (m,3) of the deformed carried surface, including cavities, normals outwards;
-    wave_speed: for the explicit time step in the report.
+    x (n,3); volume (n,): reference volume of each point; spacing: spacing of the undeformed points, the edge of a cube of this
+    volume; rho: reference density; velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,):
+    J per reference m3; surface: vertices (k,3) and triangles (m,3) of the deformed carried surface, including cavities, normals
+    outwards; wave_speed: for the explicit time step in the report.
     """
 
     x: Annotated[np.ndarray, Rows(3)]
@@ -54,11 +54,11 @@ class Cloud(MetalState):
 
     @property
     def solid_volume(self) -> float:
-        """Current volume of all points, m3."""
+        """Sum of the current volumes of all points, m3."""
         return float(self.current_volume.sum())
 
     def part(self, index: np.ndarray) -> "Cloud":
-        """The cloud of the points `index` (p,), with the whole surface."""
+        """The cloud that contains only the points `index` (p,), with the whole surface."""
         kept: dict[str, Any] = {name: array[index] for name, array in self._known().items()}
         return replace(self, **kept)
 
@@ -147,7 +147,7 @@ class Body(MetalState):
 
 @dataclass(frozen=True)
 class Splat:
-    """The bodies of a cloud, largest first. lost_mass kg: mass of fragments with fewer than MIN_POINTS points."""
+    """The bodies of a cloud, largest first. lost_mass (kg): mass of fragments with fewer than MIN_POINTS points."""
 
     bodies: list[Body]
     lost_mass: float

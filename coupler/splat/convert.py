@@ -1,4 +1,4 @@
-"""Conversion of a splat's cloud of points to tetrahedral bodies with its state."""
+"""Conversion of a cloud of points (a splat) to bodies of tetrahedra with the same state."""
 
 import time as clock
 
@@ -57,7 +57,8 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
 
 
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError if there are none."""
+    """The separate bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError if there are
+    none."""
     pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
     count, part = connected_parts(pairs, len(cloud.x))
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
@@ -72,7 +73,7 @@ def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tupl
 
 
 def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The bodies in a connected part of a cloud: several if its shape consists of separate pieces close to each other."""
+    """The bodies in a connected part of a cloud. There are several if its shape consists of separate pieces close to each other."""
 
     def shape_of(part: np.ndarray) -> CloudShape:
         return CloudShape(cloud.part(part), np.delete(cloud.x, part, axis=0))
@@ -95,7 +96,7 @@ def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str)
 
 
 def _size_of(cloud: Cloud, element_size: float) -> float:
-    """Element size (m) of a body: the given one, or a smaller one for at least about MIN_TETS elements."""
+    """Element size (m) for a body: the given size, or a smaller one so that the body has at least about MIN_TETS elements."""
     return min(element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
 
 

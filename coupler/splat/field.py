@@ -1,5 +1,5 @@
-"""Volume fraction of the metal on a grid, from the carried surface or from the points of a body, and the level that encloses its
-volume.
+"""Volume fraction of metal on a grid, from the carried surface or from the points of a body, and the level whose surface encloses the
+volume of the body.
 
 Both sources give a smooth field that is 1 in the metal and 0 outside. Its level set is a closed surface without self-intersections.
 Features that the smoothing does not resolve are lost: lips thinner than about 1.3 sigma, folds, overlaps.
@@ -91,17 +91,18 @@ def steepness(field: Field) -> np.ndarray:
 
 
 def inside(field: Field, slope: np.ndarray, level: float) -> float:
-    """Volume (m3) in which the field exceeds the level; cells at the level set count in part. slope: `steepness` of the field."""
+    """Volume (m3) in which the field exceeds the level. Cells at the level set count in part. slope: `steepness` of the field."""
     return float(_share(field.values, slope, level).sum(dtype=float)) * field.h**3
 
 
 def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
-    """Share of each cell in which the field exceeds the level, from value and slope at its centre."""
+    """Fraction of each cell in which the field exceeds the level, from the value and the slope at its centre."""
     return np.clip(0.5 + (values - level) / np.maximum(slope, 1e-6), 0.0, 1.0)
 
 
 def level_of(field: Field, volume: float) -> float:
-    """The level that encloses a volume (m3), limited to 0.15 to 0.85: outside this range it depends on the tails of the smoothing."""
+    """The level whose surface encloses a given volume (m3). It is limited to 0.15 to 0.85: outside this range it depends on the tails
+    of the smoothing."""
     near = (field.values > 0.01) & (field.values < 0.99)
     values, slope = field.values[near], steepness(field)[near]
     target = volume / field.h**3 - int(np.sum(field.values >= 0.99))
@@ -114,7 +115,7 @@ def level_of(field: Field, volume: float) -> float:
 
 
 def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
-    """The field in cells that are closer to a point of `keep` (n,3) m than to one of `others` (k,3) m, 0 elsewhere."""
+    """The field in cells that are closer to a point of `keep` (n,3) m than to any point of `others` (k,3) m; 0 in other cells."""
     near = np.argwhere(field.values > 0.01)
     at = field.origin + near * field.h
     own = cKDTree(keep).query(at)[0] <= cKDTree(others).query(at)[0]
@@ -124,7 +125,7 @@ def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
 
 
 def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.ndarray]]:
-    """Fill voids and remove fragments that are smaller than `smallest` m3.
+    """Fill voids, and remove separate fragments that are smaller than `smallest` m3.
 
     Returns the field, and the cells (p,3) of each remaining component above the level, largest first.
     """

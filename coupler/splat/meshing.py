@@ -1,4 +1,4 @@
-"""Meshing of the points of one body with tetrahedra: several strategies; all meshes are checked against the same limits."""
+"""Meshing of the points of one body with tetrahedra. There are several strategies; all meshes must satisfy the same limits."""
 
 import time as clock
 from collections.abc import Callable
@@ -36,8 +36,8 @@ CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to mesh a body. source: of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: of the element size;
-    sigma: smallest smoothing over element size."""
+    """A way to mesh a body. source: source of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: factor on the
+    element size; sigma: smallest smoothing length divided by the element size."""
 
     source: str
     mesher: str
@@ -62,8 +62,8 @@ def strategies(method: str, has_surface: bool) -> list[Strategy]:
 
 @dataclass(frozen=True)
 class Shape:
-    """A body as a level set of a field. volume_error: relative error of the source before correction; pieces: cells (p,3) of each
-    component, largest first; shells: closed surfaces; handles: number of handles of the surfaces."""
+    """The shape of a body as a level set of a field. volume_error: relative error of the volume before its correction; pieces: cells
+    (p,3) of each component, largest first; shells: closed surfaces; handles: number of handles of the surfaces."""
 
     field: fields.Field
     level: float
@@ -83,7 +83,7 @@ class CloudShape:
     cache: tuple[tuple[str, float, float], Shape] | None = None
 
     def find(self, source: str, size: float, least_sigma: float) -> Shape:
-        """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size m: of elements.
+        """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size (m): size of the elements.
 
         Handles are holes in thin lips, which a mesh of this size cannot resolve. Raises SplatError if the carried surface does not
         fit the points.
@@ -103,8 +103,8 @@ class CloudShape:
 
 
 def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, sigma: float) -> Shape:
-    """The shape of a cloud with one smoothing. others (k,3) m: points of other bodies; size m: of elements; sigma: smoothing over
-    size."""
+    """The shape of a cloud for one smoothing length. others (k,3) m: points of other bodies; size (m): size of the elements; sigma:
+    smoothing length divided by the element size."""
     solid = cloud.solid_volume
     min_void = MIN_VOID * cloud.spacing**3
     if source == "carried":
@@ -135,14 +135,14 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
 
 
 def _cell_size(x: np.ndarray, h: float) -> float:
-    """The smallest cell size (m), at least h, with which a grid over x (n,3) m has at most MAX_CELLS cells."""
+    """The smallest cell size (m), not below h, with which a grid around x (n,3) m has at most MAX_CELLS cells."""
     return max(h, float(np.prod(np.ptp(x, axis=0) + 12.0 * h) / MAX_CELLS) ** (1.0 / 3.0))
 
 
 def build_mesh(
     strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float]
 ) -> tuple[np.ndarray, np.ndarray, Report]:
-    """Mesh a body with one strategy: points (n,3) m, tetrahedra (m,4) and report. size m: of elements.
+    """Mesh a body with one strategy: points (n,3) m, tetrahedra (m,4) and report. size (m): size of the elements.
 
     Adds the wall time of each stage to `seconds`. Raises SplatError if a stage fails or the mesh is outside a limit.
     """
@@ -174,8 +174,8 @@ def build_mesh(
 
 
 def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) -> Report:
-    """Quality measures of a mesh, points (n,3) m and tets (m,4). solid: exact volume of the body, m3; size: element size, m. Raises
-    SplatError that lists every limit that is not satisfied."""
+    """Quality measures of a mesh with points (n,3) m and tets (m,4). solid: exact volume of the body, m3; size: element size, m.
+    Raises SplatError with all limits that the mesh exceeds."""
     if len(tets) == 0:
         raise SplatError("the mesh has no tetrahedra")
     volume = volumes(points, tets)

@@ -19,8 +19,8 @@ def _face_normals(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def gamma(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Quality gamma (m,) of gmsh: radius of the inscribed sphere over the longest edge, scaled to 1 for a regular tetrahedron;
-    negative for an inverted one."""
+    """Quality gamma (m,) of gmsh: the radius of the inscribed sphere divided by the longest edge, scaled to 1 for a regular
+    tetrahedron. It is negative for an inverted tetrahedron."""
     area = 0.5 * np.linalg.norm(_face_normals(points, tets), axis=2).sum(axis=1)
     longest = np.max([np.linalg.norm(points[tets[:, i]] - points[tets[:, j]], axis=1) for i, j in _EDGES], axis=0)
     return 6.0 * np.sqrt(6.0) * volumes(points, tets) / np.maximum(area * longest, 1e-300)
@@ -34,7 +34,7 @@ def dihedral_angles(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Stable explicit time step of each element times the longitudinal wave speed, (m,) m.
+    """Stable explicit time step of each element, multiplied by the longitudinal wave speed: a length (m,) m.
 
     The step is 2 / omega, with the bound omega^2 <= 4 c^2 (0.43 tr M + 0.57 lambda_max(M)), M = sum of b (x) b over the gradients b
     of the shape functions: the bound of `coupler.fe.kernels.stable_dt` for Poisson's ratio 0.3, where lambda / (lambda + 2 G) =
@@ -53,10 +53,10 @@ def pieces(points: np.ndarray, tets: np.ndarray) -> int:
 
 
 def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
-    """Fit of a mesh to its cloud. width_m, top_m: width and top of the mesh; source_width_m, source_top_m: of the carried surface,
-    or of the points if there is none; outside_half: share of the points more than half a spacing outside the mesh; outside_max:
-    largest such distance, in spacings. A width is the diameter of the circle with the area of the body seen from above.
-    """
+    """How well a mesh fits its cloud. width_m, top_m: width and top of the mesh; source_width_m, source_top_m: those of the carried
+    surface, or of the points if there is no surface; outside_half: fraction of the points that are more than half a spacing outside
+    the mesh; outside_max: largest such distance, in spacings. A width is the diameter of the circle with the area of the body seen
+    from above."""
     x, triangles = compact(points, boundary_faces(tets)[0])
     source = cloud.x if cloud.surface is None else cloud.surface[0]
     out = RaySurface(x, triangles).distance_outside(cloud.x) / cloud.spacing

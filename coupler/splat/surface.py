@@ -1,4 +1,4 @@
-"""Surfaces of a body from a field: marching cubes, projection on the level set, correction of the volume."""
+"""Surfaces of a body, made from a field: marching cubes, projection on the level set, correction of the volume."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ def contour(field: Field, level: float) -> Surface:
 
 
 def shells(surface: Surface, smallest: float) -> list[Surface]:
-    """The closed parts of a surface that enclose at least `smallest` m3, largest first; a cavity has a negative volume and comes
+    """The closed parts of a surface whose volume is at least `smallest` m3, largest first. A cavity has a negative volume and comes
     last."""
     vertices, triangles = surface
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
@@ -43,7 +43,7 @@ def handles(surface: Surface) -> int:
 
 def projection(field: Field, level: float, size: float) -> Callable[[np.ndarray], np.ndarray]:
     """A function that moves vertices (k,3) m to the surface on which a field has the value `level`, by two Newton steps of at most
-    0.15 size. size m: of elements."""
+    0.15 size. size (m): size of the elements."""
     gradient = [Field(g, field.origin, field.h) for g in np.gradient(field.values, field.h)]
 
     def project(x: np.ndarray) -> np.ndarray:
@@ -61,7 +61,8 @@ def projection(field: Field, level: float, size: float) -> Callable[[np.ndarray]
 
 
 def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:
-    """Shells moved along their normals so that together they enclose `target` m3, and the offset, m, at most `max_offset`."""
+    """Closed surfaces after a displacement along their normals, so that together they enclose `target` m3; and this displacement, m,
+    at most `max_offset`."""
     ends = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     triangles = np.concatenate([own + first for (_, own), first in zip(parts, ends, strict=False)])
     x, moved = triangulated.correct_volume(np.concatenate([part[0] for part in parts]), triangles, target, max_offset)

@@ -45,12 +45,13 @@ class Fit:
 
 
 def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Velocities v + a + omega x r (n,3) with linear momentum P (3,) kg m/s and angular momentum L (3,) kg m2/s about the origin."""
+    """Velocities v + a + omega x r (n,3) that have the linear momentum P (3,) kg m/s and the angular momentum L (3,) kg m2/s about
+    the origin."""
     return v + rigid(x, mass, P - mass @ v, L - mass @ np.cross(x, v))
 
 
 def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Velocities (n,3) of the rigid motion with momenta P and L, as in `with_momentum`."""
+    """Velocities (n,3) of the rigid motion with the momenta P and L of `with_momentum`."""
     centre = mass @ x / mass.sum()
     r = x - centre
     inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)
@@ -58,8 +59,8 @@ def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.n
 
 
 def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) -> np.ndarray:
-    """Velocities (n,3) with the same momenta and the kinetic energy `kinetic`, J. Their non-rigid part is scaled, by at most
-    MAX_SCALING."""
+    """Velocities (n,3) with the same momenta and with the kinetic energy `kinetic`, J. Only their non-rigid part is scaled, by at
+    most MAX_SCALING."""
     whole = rigid(x, mass, mass @ v, mass @ np.cross(x, v))
     own = v - whole
     moving, rest = (0.5 * float(mass @ np.einsum("ij,ij->i", w, w)) for w in (own, whole))
@@ -68,7 +69,7 @@ def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) 
 
 
 def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
-    """Values (n,) shifted uniformly so that weights @ values is `total`, none below `floor`.
+    """Values (n,) after a uniform shift, so that weights @ values is `total`, and no value is below `floor`.
 
     Values at the floor stay there, and the others are shifted further. If `total` is too small for the floor, all values are the floor.
     """
@@ -91,8 +92,9 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
 def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], dict[str, float]]:
     """Fields of `cloud.Body` on a mesh of points (n,3) m and tets (m,4), from the fields of the cloud; and their relative errors.
 
-    Errors of sums over the mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy; with `_raw`
-    before the correction. stress_square: error of the volume integral of sigma : sigma, which is not corrected.
+    The errors are those of sums over the mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy. Keys
+    that end in `_raw` have the error before the correction. stress_square: error of the volume integral of sigma : sigma, which is
+    not corrected.
     """
     volume = volumes(points, tets)  # m3
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
@@ -142,7 +144,7 @@ def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[s
 
 
 def _square(stress: np.ndarray) -> np.ndarray:
-    """sigma : sigma (n,) of Voigt tensors (n,6)."""
+    """The double contraction sigma : sigma (n,) of Voigt tensors (n,6)."""
     return np.einsum("ij,ij->i", stress[:, :3], stress[:, :3]) + 2.0 * np.einsum(
         "ij,ij->i", stress[:, 3:], stress[:, 3:]
     )

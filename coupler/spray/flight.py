@@ -1,6 +1,7 @@
 """Flight of particles from the powder feed to the target, with drag and heat transfer from the gas of `coupler.spray.gas`.
 
-A particle is a single sphere of uniform temperature on the axis; docs/guide/gas.md has the accuracy. One integration is for all sizes.
+A particle is a single sphere of uniform temperature on the axis; docs/guide/gas.md gives the accuracy. All sizes are integrated
+together.
 """
 
 import math
@@ -23,7 +24,7 @@ Drag = Callable[[Numbers, Numbers, Numbers, float], NDArray[np.float64]]
 def henderson(Re: Numbers, M: Numbers, theta: Numbers, gamma: float) -> NDArray[np.float64]:
     """Drag coefficient of a sphere, from creeping to free-molecular flow, M < 6: Henderson (1976), AIAA J. 14, 707.
 
-    Re, M: of the relative motion; theta: temperature of the sphere over temperature of the gas.
+    Re, M: Reynolds and Mach number of the relative motion; theta: temperature of the sphere divided by the temperature of the gas.
     """
     slow, fast = _subsonic(Re, np.minimum(M, 1.0), theta, gamma), _supersonic(Re, np.maximum(M, 1.75), theta, gamma)
     return slow + np.clip(4 / 3 * (M - 1), 0.0, 1.0) * (fast - slow)
@@ -54,8 +55,8 @@ DRAG_LAWS: dict[str, Drag] = {"henderson": henderson, "carlson-hoglund": carlson
 
 
 def nusselt(Re: Numbers, M: Numbers, Pr: float) -> NDArray[np.float64]:
-    """Nusselt number of a sphere: Ranz & Marshall (1952), with the reduction for rarefaction and Mach number of Kavanau (1955) in the
-    form of Carlson & Hoglund (1964). The heat flows from the recovery temperature of the gas."""
+    """Nusselt number of a sphere: Ranz & Marshall (1952), reduced for rarefaction and Mach number as by Kavanau (1955), in the form
+    of Carlson & Hoglund (1964). It refers to the difference from the recovery temperature of the gas."""
     continuum = 2 + 0.6 * np.sqrt(Re) * Pr ** (1 / 3)
     return continuum / (1 + 3.42 * M / (Re * Pr) * continuum)
 
@@ -86,8 +87,8 @@ class Flight:
 def melting(
     material: Material, diameter: Sequence[float], hottest: Sequence[float], impact: Sequence[float]
 ) -> list[str]:
-    """Notes on particles that melt in flight or, if there are none, that arrive near their melting point. diameter: m; hottest, impact:
-    highest temperature in flight and temperature at impact, K."""
+    """Notes on particles that melt in flight; if there are none, notes on particles that arrive near their melting point. diameter
+    (m); hottest, impact: highest temperature in flight and temperature at impact, K."""
     near = NEAR_MELTING * material.T_m
     for temperature, limit, text in (
         (hottest, material.T_m, f"reach the melting point ({material.T_m:.0f} K) in flight: melt is not modelled"),
@@ -129,9 +130,9 @@ def integrate(
 
         m v dv/dx = C_D rho_gas |u - v| (u - v) pi D^2 / 8,    m cp v dT/dx = Nu k pi D (T_r - T)
 
-    rho kg/m^3, cp(T) J/(kg K), diameters D m: of the spheres; v m/s, T K: at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2):
-    recovery temperature (White, Viscous Fluid Flow, 1991). points: number of stored points in each piece. All spheres have the same
-    steps in x, and each satisfies the tolerance of the solver.
+    rho kg/m^3, cp(T) J/(kg K), diameters D (m): of the spheres; v m/s, T (K): at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2
+    M^2): recovery temperature (White, Viscous Fluid Flow, 1991). points: number of stored points in each piece. All spheres have the
+    same steps in x, and each satisfies the tolerance of the solver.
     """
     from scipy.integrate import solve_ivp
 

@@ -1,7 +1,7 @@
 """The gas of cold spray: one-dimensional flow through a de Laval nozzle and a free jet to the target.
 
-The flow in the nozzle is isentropic and sonic in the throat; the particles have no effect on it. x: position along the axis, m, 0 in
-the throat. docs/guide/gas.md has the neglected effects and their size.
+The flow in the nozzle is isentropic, and sonic in the throat. Particles have no effect on it. x: position along the axis, m, 0 in the
+throat. docs/guide/gas.md lists the neglected effects and their magnitude.
 """
 
 import math
@@ -20,7 +20,7 @@ SEPARATES = 0.4  # p over ambient pressure at which the flow separates: Summerfi
 
 @dataclass(frozen=True)
 class Gas:
-    """A calorically perfect gas. molar_mass kg/mol; gamma: ratio of specific heats; Pr: Prandtl number; mu_ref: viscosity (Pa s) at
+    """A calorically perfect gas. molar_mass (kg/mol); gamma: ratio of specific heats; Pr: Prandtl number; mu_ref: viscosity (Pa s) at
     T_ref (K), with Sutherland's constant S (K), or proportional to T^n if S is None."""
 
     name: str
@@ -70,22 +70,23 @@ GASES = {
 
 
 def temperature_ratio(M: float, gamma: float) -> float:
-    """Total over static temperature."""
+    """Ratio of total to static temperature at Mach number M."""
     return 1 + (gamma - 1) / 2 * M**2
 
 
 def pressure_ratio(M: float, gamma: float) -> float:
-    """Total over static pressure."""
+    """Ratio of total to static pressure at Mach number M."""
     return temperature_ratio(M, gamma) ** (gamma / (gamma - 1))
 
 
 def area_ratio(M: float, gamma: float) -> float:
-    """Area over area of the throat at Mach number M."""
+    """Ratio of the flow area at Mach number M to the area of the throat."""
     return (2 / (gamma + 1) * temperature_ratio(M, gamma)) ** ((gamma + 1) / (2 * (gamma - 1))) / M
 
 
 def mach(ratio: float, gamma: float, supersonic: bool) -> float:
-    """Mach number at the area `ratio` over the area of the throat: the inverse of `area_ratio` on its subsonic or supersonic branch.
+    """Mach number where the flow area divided by the area of the throat is `ratio`: the inverse of `area_ratio`, on its subsonic or
+    supersonic branch.
 
     Raises ColdsprayError if ratio is below 1. Newton's method for the square root of log(area), which is nearly linear at the minimum
     of the area; the start value is on the side without overshoot.
@@ -109,7 +110,8 @@ def mach(ratio: float, gamma: float, supersonic: bool) -> float:
 
 
 def normal_shock(M: float, gamma: float) -> tuple[float, float]:
-    """Mach number behind a normal shock, and pressure behind it over pressure before it. M: before the shock, at least 1."""
+    """Mach number behind a normal shock, and the pressure behind it divided by the pressure before it. M: Mach number before the
+    shock, at least 1."""
     behind = math.sqrt(temperature_ratio(M, gamma) / (gamma * M**2 - (gamma - 1) / 2))
     return behind, 1 + 2 * gamma / (gamma + 1) * (M**2 - 1)
 
@@ -241,7 +243,7 @@ class Flow:
         return diameter / 4 * before.rho * before.u / (sonic * a)
 
     def _behind_shock(self, before: State) -> tuple[float, float]:
-        """Velocity behind a normal shock, m/s, and density of this gas after it has come to rest, kg/m^3."""
+        """Velocity behind a normal shock, m/s, and density that this gas has at rest, kg/m^3."""
         g, M = self.gas.gamma, before.u / self.gas.sound(before.T)
         M2, p2 = normal_shock(M, g)
         rest = before.rho * before.T * p2 * pressure_ratio(M2, g)  # p / R
@@ -250,7 +252,7 @@ class Flow:
         return u2, rest / total
 
     def stopped(self, x: float) -> State:
-        """The gas between bow shock and target at x (m): its velocity decreases linearly to zero, without loss."""
+        """The gas at x (m) between bow shock and target. Its velocity decreases linearly to zero, without losses."""
         before = self.outside(self.target)
         u2, rest = self._behind_shock(before)
         u = u2 * (self.target - x) / self.layer

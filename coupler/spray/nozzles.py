@@ -1,4 +1,4 @@
-"""De Laval nozzles: lengths and diameters, their sources, and which values are assumed.
+"""De Laval nozzles: lengths and diameters, their sources, and a list of assumed values.
 
 The library is `nozzles.toml`; a scene or a file of the user may add nozzles in the same form.
 """
@@ -54,11 +54,11 @@ class Nozzle:
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """Positions of the ends of the parts, m from the throat, in order; the last is the exit."""
+        """Positions of the ends of the nozzle's parts, m from the throat, in order. The last is the exit."""
         return (-self.converging, 0.0, self.diverging) + ((self.end,) if self.barrel else ())
 
     def area_ratio(self, x: float) -> float:
-        """Area at x (m from the throat) over area of the throat."""
+        """Ratio of the flow area at x (m from the throat) to the area of the throat."""
         if x < 0:
             d = self.throat + min(-x / self.converging, 1.0) * (self.inlet - self.throat)
         else:

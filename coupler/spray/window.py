@@ -1,4 +1,4 @@
-"""The window of deposition: particle velocities over critical and erosion velocity, and the deposition efficiency."""
+"""The window of deposition: particle velocities relative to critical and erosion velocity, and the deposition efficiency."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ _FINE = 2000  # mass fractions at which velocities are interpolated
 
 @dataclass(frozen=True)
 class Spray:
-    """A powder at impact, in classes of equal mass (n,). share: cumulative mass fraction; diameter m; velocity m/s; temperature K;
-    hottest: highest temperature in flight, K; formula: for each class on the substrate."""
+    """A powder at impact, in classes of equal mass (n,). share: cumulative mass fraction; diameter (m); velocity (m/s); temperature
+    (K); hottest: highest temperature in flight, K; formula: critical-velocity formula of each class on the substrate."""
 
     share: NDArray[np.float64]
     diameter: NDArray[np.float64]
@@ -39,14 +39,14 @@ class Spray:
 
     @property
     def ratio(self) -> NDArray[np.float64]:
-        """Velocity over critical velocity (n,), infinite for a particle at its melting point."""
+        """Velocity divided by critical velocity (n,); infinite for a particle at its melting point."""
         with np.errstate(divide="ignore"):
             return self.velocity / self.critical
 
     def fates(self, factor: float = 1.0, on_substrate: bool = False) -> dict[str, float]:
-        """Mass fractions of particles that rebound, stick, are undecided, or erode (from EROSION times the critical velocity on).
-        on_substrate: on the substrate by the formula of both metals, otherwise on a coating of the powder's metal. factor: on the
-        critical velocities."""
+        """Mass fractions of the particles that rebound, stick, are undecided, or erode (at EROSION times the critical velocity or
+        more). on_substrate: True on the substrate, by the formula of both metals; False on a coating of the powder's metal. factor:
+        factor on the critical velocities."""
         fine = (np.arange(_FINE) + 0.5) / _FINE
         least = self.velocity / FASTEST  # a particle at its melting point has a critical velocity of zero
         critical = [self.critical]
@@ -60,8 +60,9 @@ class Spray:
         }
 
     def extremes(self, within: float) -> tuple[float, float]:
-        """Factors on the critical velocity, from 1 - within to 1 + within, of the least and the greatest deposition efficiency. With
-        erosion a lower critical velocity can decrease the efficiency. Of equal efficiencies the factor nearest to 1 counts."""
+        """Two factors on the critical velocity, between 1 - within and 1 + within, that give the least and the greatest deposition
+        efficiency. Because of erosion, a lower critical velocity can decrease the efficiency. If several factors give the same
+        efficiency, the one nearest to 1 counts."""
         factors = sorted(
             (1.0, *(1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1))), key=lambda f: abs(f - 1.0)
         )
@@ -75,7 +76,8 @@ def spray(
     sizes: Sizes,
     fly: Callable[[Sequence[float]], list[Flight]],
 ) -> Spray:
-    """A powder at impact. base: metal of the substrate, None: not considered; sizes: of the powder; fly: flights of diameters (m).
+    """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
+    (m).
 
     Raises ColdsprayError if a flight cannot be computed or the material has no sigma_TS.
     """

@@ -1,4 +1,5 @@
-"""Measures of a coating: thickness, roughness, porosity on a grid of vertical columns (`Columns`); state of each layer; stress."""
+"""Measures of a coating: thickness, roughness and porosity from vertical columns on a grid (`Columns`); state of each layer;
+stress."""
 
 from __future__ import annotations
 
@@ -73,7 +74,7 @@ def read(result: Result, before: int | None = None) -> Splats:
 
 @dataclass(frozen=True)
 class SeedError:
-    """A measure over several seeds, SI. error: standard error of the mean; least, greatest: values."""
+    """A measure in coatings of several seeds, SI. error: standard error of the mean; least, greatest: smallest and largest value."""
 
     seeds: int
     mean: float
@@ -82,23 +83,24 @@ class SeedError:
     greatest: float
 
     def words(self, factor: float, unit: str) -> str:
-        """Text such as "; 4 seeds: 40.8 ± 0.6 µm, 39.5 to 42.1". factor: from SI to the unit."""
+        """Text such as "; 4 seeds: 40.8 ± 0.6 µm, 39.5 to 42.1". factor: factor from SI to the unit."""
         ends = " to ".join(f"{factor * end:.3g}" for end in (self.least, self.greatest))
         return f"; {self.seeds} seeds: {with_error(factor * self.mean, factor * self.error)}{unit}, {ends}"
 
 
 @dataclass(frozen=True)
 class CoatingMeasures:
-    """Measures of a coating, SI; the keys of coating.json.
+    """Measures of a coating in SI units. The names are the keys of coating.json.
 
-    impacts, of: finished and planned impacts. undecided: they count as stayed in deposition_efficiency, as lost in least_efficiency.
-    thickness: height of the coating above the original surface of the substrate, z = 0; metal in craters below does not count; 0
-    without coating. height_mean_m: mean height of the surface with craters, as a profilometer measures it. bare_share: share of the
-    disc without coating. overlap_share: share of the volume of the coating that lies in more than one body; the porosity is too high
-    by up to this share, because this metal is missing elsewhere. void_limit_m: voids of a lower height are not resolved.
-    stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating in the disc, the residual stress once cold, with its
-    standard error (`in_plane`). thermal_in_plane_Pa: the part of it from changes of temperature. layers, depth, phases: rows of
-    `per_layer`, `over_depth` and `phases`. seeds: measure -> its error, if other seeds are computed (`coating_seeds`).
+    impacts, of: numbers of finished and of planned impacts. undecided: number of undecided particles, which count as stayed in
+    deposition_efficiency and as lost in least_efficiency. thickness: height of the coating above the original surface of the
+    substrate, z = 0; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with
+    craters, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the volume of the
+    coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing elsewhere.
+    void_limit_m: voids of a lower height are not resolved. stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating
+    in the disc, with its standard error (`in_plane`); in a cold coating it is the residual stress. thermal_in_plane_Pa: the part of
+    this stress that changes of temperature cause. layers, depth, phases: rows of `per_layer`, `over_depth` and `phases`. seeds:
+    measure -> its error, if other seeds are computed (`coating_seeds`).
     """
 
     impacts: int
@@ -131,7 +133,8 @@ class CoatingMeasures:
 
 
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """All measures of a coating. radius: of the measured disc, m; default: `disc_radius`. Raises StoreError without a coating."""
+    """All measures of a coating. radius (m): radius of the measured disc; default: `disc_radius`. Raises StoreError if there is no
+    coating."""
     if not splats.stayed.any():
         raise StoreError("no particle has stayed on the target: there is no coating to measure; give a run with splats")
     size, planned = splats.element_size, splats.planned
@@ -157,7 +160,8 @@ def disc_radius(splats: Splats) -> float:
 
 
 def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
-    """Thickness, heights and roughness (m), shares of voids and overlap, in a disc of `radius` m from columns `step` m apart."""
+    """Thickness, heights and roughness (m), and volume fractions of voids and overlap, in a disc of `radius` m. They follow from
+    vertical columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
     top = columns.highest(columns.matter)
     is_bare = columns.highest(columns.substrate) > top - step
@@ -176,9 +180,9 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
 def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
     """Mean of (xx + yy) / 2 of a stress field over the volume of the coating in the disc, Pa, and its standard error.
 
-    radius: of the disc, m; name: of the field; the mean is 0 without this field. The error describes the variation over the disc:
-    each of SECTORS sectors is left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed.,
-    section 6.17). A sector contains all layers, because their stresses differ systematically. None if fewer than two sectors
+    radius: radius of the disc, m; name: name of the field; the mean is 0 without this field. The error describes the variation over
+    the disc: each of SECTORS sectors is left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd
+    ed., section 6.17). A sector contains all layers, because their stresses differ systematically. None if fewer than two sectors
     contain coating.
     """
     mesh = splats.mesh
@@ -243,8 +247,8 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
 
 
 def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
-    """Shares of each metal: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m;
-    efficiency: its mass in the coating over its fed mass. The last particle, which consists of points, has no volume here."""
+    """Fractions of each metal: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m.
+    efficiency: its mass in the coating divided by its fed mass. The last particle, which consists of points, has no volume here."""
     mesh, stays = splats.mesh, splats.mass * splats.stayed
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
     own = (np.hypot(x, y) <= radius) & (splats.body > 0)
@@ -292,9 +296,9 @@ def _percentiles(values: NDArray, weights: NDArray, shares: ArrayLike) -> NDArra
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
     """Volume means of stress (Pa), strain and temperature in horizontal slices of the disc, `step` m high, from the top down.
 
-    sigma_xx, sigma_yy are in the plane of the surface, sigma_zz is normal to it; tension is positive. thermal_xx etc.: the part from
-    changes of temperature, of a cold coating; the impacts cause the rest. sigma_p5, sigma_p95: quantiles of (xx + yy) / 2. coating:
-    volume share of splats in the slice.
+    sigma_xx, sigma_yy are in the plane of the surface, sigma_zz is normal to it; tension is positive. thermal_xx etc., for a cold
+    coating: the part that changes of temperature cause; the impacts cause the rest. sigma_p5, sigma_p95: quantiles of (xx + yy) / 2.
+    coating: volume share of splats in the slice.
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius

@@ -1,4 +1,4 @@
-"""Output files of a coating: measures, profile over depth, pictures of a cross-section, and the splats as meshes."""
+"""Output files of a coating: measures, profile along the depth, pictures of a cross-section, and the splats as meshes."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
 def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
-    """Write coating.json, all measures, and coating_depth.csv, means over slices of the depth; SI. Returns the paths. Raises
-    StoreError."""
+    """Write coating.json with all measures, and coating_depth.csv with mean values in horizontal slices; SI units. Returns the paths.
+    Raises StoreError."""
     paths = [folder / "coating.json", folder / "coating_depth.csv"]
     write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
     write_text(paths[0], json.dumps(asdict(measures), indent=2) + "\n")
@@ -46,15 +46,16 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
 
 
 def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
-    """Write coating_growth.csv and growth.png, the coating after each impact. Returns the paths. Raises StoreError."""
+    """Write coating_growth.csv and growth.png: the measures of the coating after each impact. Returns the paths. Raises
+    StoreError."""
     write_rows(folder / "coating_growth.csv", list(rows[0]), rows)
     return [folder / "coating_growth.csv", draw(rows, folder / "growth.png")]
 
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
-    """Draw the cross-section at y = plane (m) as PNG, `radius` m about the axis. Returns the path. A cold coating is coloured by
-    strain, von Mises and in-plane stress; else by strain, temperature and stress, with the last particle. Raises StoreError without
-    a stored step."""
+    """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Returns the path. Colours of a cold coating:
+    strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Raises
+    StoreError if no step is stored."""
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(splats, radius)), heading), path)
         return path
@@ -84,9 +85,9 @@ def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
 
 
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
-    """Draw the cross-section at y = plane (m) like an etched one under a microscope, as PNG. Returns the path. Boundaries of splats are
-    dark, the boundary of the substrate is thick, closed pores are black; blue areas are open to the outside in this plane; metals of a
-    blend have colours. radius: shown about the axis, m."""
+    """Draw the cross-section at y = plane (m) like an etched section under a microscope, as PNG. Returns the path. Boundaries of
+    splats are dark, the boundary of the substrate is thick, closed pores are black. Blue areas are open to the outside in this plane.
+    The metals of a blend have different colours. radius: distance from the axis up to which the picture reaches, m."""
     seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
@@ -122,8 +123,8 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
 
 
 def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
-    """Draw the in-plane stress over height as PNG: mean, 5 to 95 % of the volume, and the parts from cooling and from impacts. Returns
-    the path."""
+    """Draw the in-plane stress against height as PNG: mean, range of 5 to 95 % of the volume, and the parts from cooling and from
+    impacts. Returns the path."""
     rows = measures.depth
     z, mean, low, high = (np.array(column) for column in zip(*(
         (row["z_m"] * MICRO, 0.5e-6 * (row["sigma_xx"] + row["sigma_yy"]), 1e-6 * row["sigma_p5"], 1e-6 * row["sigma_p95"])
@@ -147,9 +148,9 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
-    """Write the coating for homogenisation. Returns the paths. coating.vtu: mesh of substrate and splats with body, impact, metal
-    (0: substrate; metals in the order of their first impacts) and fields of each tetrahedron; splats/splat_NNN.stl: closed surface
-    of each splat, NNN: its impact. Lengths in m. Raises StoreError."""
+    """Write the coating as meshes for homogenisation. Returns the paths. coating.vtu: mesh of substrate and splats with body, impact,
+    metal (0: substrate; then metals in the order of their first impacts) and fields of each tetrahedron; splats/splat_NNN.stl: closed
+    surface of the splat of impact NNN. Lengths in m. Raises StoreError."""
     inner = folder / "splats"
     cells = splats.mesh.cells
     data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}

@@ -18,8 +18,8 @@ Row = dict[str, float]
 
 
 def growth(result: Result, radius: float | None = None) -> list[Row]:
-    """A row (see `row`) for each finished impact, for at most MOST of them. radius: of the disc that is measured, m; default: the disc
-    of the coating."""
+    """A row (see `row`) for each finished impact, at most MOST rows. radius (m): radius of the measured disc; default: the disc of
+    the coating."""
     built = read(result)
     radius = radius or disc_radius(built)
     finished = len(built.mass)
@@ -29,7 +29,7 @@ def growth(result: Result, radius: float | None = None) -> list[Row]:
 
 
 def latest(result: Result) -> Row:
-    """The row of the impacts that are finished so far. Raises StoreError if no impact is finished."""
+    """The row after the impacts that are finished so far. Raises StoreError if no impact is finished."""
     number = int(result.history("impact").max(initial=0.0))
     if number < 2:
         raise StoreError(f"{result.directory}: no impact is finished yet: measure it later")
@@ -38,15 +38,15 @@ def latest(result: Result) -> Row:
 
 
 def row(built: Splats, radius: float) -> Row:
-    """impacts: number of finished impacts; splats: number of splats in the coating; deposition_efficiency; measures of
-    `coating.shape`."""
+    """A row of the growth table. impacts: number of finished impacts; splats: number of splats in the coating; deposition_efficiency;
+    measures of `coating.shape`."""
     counts = {"impacts": len(built.mass), "splats": float(np.count_nonzero(built.stayed))}
     measures = shape(built, radius, COARSE * COLUMN * built.element_size)
     return {**counts, "deposition_efficiency": built.deposition_efficiency, **measures}
 
 
 def line(now: Row) -> str:
-    """Text line of a row."""
+    """A row of the growth table as a text line."""
     return (
         f"after impact {now['impacts']:.0f}: splats {now['splats']:.0f}, thickness {now['thickness_mean_m'] * MICRO:.1f} um"
         f" (bare {now['bare_share']:.0%}), Sa {now['Sa_m'] * MICRO:.1f} um, porosity {now['porosity_closed']:.1%} closed,"
@@ -55,7 +55,7 @@ def line(now: Row) -> str:
 
 
 def draw(rows: list[Row], path: Path) -> Path:
-    """Draw thickness with its range, roughness and porosity over the number of impacts, as PNG. Returns the path."""
+    """Draw thickness with its range, roughness and porosity against the number of impacts, as PNG. Returns the path."""
     impacts = [each["impacts"] for each in rows]
     um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
     share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}

@@ -1,4 +1,4 @@
-"""The error of a coating from seeds: coatings of other particles that are drawn from the same distributions."""
+"""The statistical error of a coating, from coatings whose particles are drawn from the same distributions with other seeds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MEASURES = (
 
 
 def other_seeds(scene: Scene, count: int) -> dict[str, str]:
-    """Name, such as "seed 8" -> the scene (TOML) with this seed, for `count` seeds after the seed of the scene. Raises StoreError for a
+    """The scenes (TOML) with the `count` seeds that follow the seed of the scene, by name, such as "seed 8". Raises StoreError for a
     scene without a table [coating]."""
     if scene.coating is None:
         raise StoreError(
@@ -39,34 +39,35 @@ def other_seeds(scene: Scene, count: int) -> dict[str, str]:
 
 
 def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
-    """Measure -> its error, for MEASURES, from coatings of several seeds; empty for one coating."""
+    """The error of each of MEASURES, from coatings of several seeds; empty for a single coating."""
     if len(coatings) < 2:
         return {}
     return {key: seed_error([getattr(each, key) for each in coatings]) for key in MEASURES}
 
 
 def seed_error(each: Sequence[float]) -> SeedError:
-    """The error of a measure from its values (SI) in several coatings; infinite for one value."""
+    """The error of a measure, from its values (SI) in several coatings; infinite for a single value."""
     values = np.array(each)
     error = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
     return SeedError(len(values), float(values.mean()), error, float(values.min()), float(values.max()))
 
 
 def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """`coating.measure` of a run, with errors from the finished runs of other seeds in its folder. radius: of the disc, m."""
+    """`coating.measure` of a run, with errors from the finished runs of other seeds in its folder. radius: radius of the disc, m."""
     own, runs = measure(splats, radius), sorted((result.directory / FOLDER).glob("*/summary.json"))
     others = [other for path in runs if _but_its_seed(other := Result(path.parent)) == _but_its_seed(result)]
     return replace(own, seeds=errors([own, *(measure(read(other), own.window_radius_m) for other in others)]))
 
 
 def _but_its_seed(result: Result) -> dict[str, object]:
-    """The scene of a run without the values that depend on its seed."""
+    """The scene of a run without values that depend on its seed."""
     data = parse_toml(result.scene_text)
     return {**data, "particle": None, "coating": {**data.get("coating", {}), "seed": None}}
 
 
 def lines_of(result: Result) -> list[tuple[str, str]]:
-    """`coating.lines` of a run, finished or not; empty if no splat can be measured, or for a single splat that is not cold."""
+    """The text lines `coating.lines` of a run, finished or not. Empty if no splat can be measured, or for a single splat that is not
+    cold."""
     if len(result.plan.get("impacts", [])) < 2 and not len(result.times(COLD)):
         return []
     try:

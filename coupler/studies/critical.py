@@ -1,4 +1,5 @@
-"""The critical velocity of a scene by runs at several velocities: a bracket between rebound and sticking, which is then halved.
+"""The critical velocity of a scene, from runs at several velocities. The search finds a bracket between rebound and sticking, and
+halves it.
 
 Near the critical velocity a verdict depends on the positions of points and elements (the placement). The critical velocity is the
 velocity at which half of the placements stick.
@@ -47,9 +48,9 @@ Row = Mapping[str, Any]  # COLUMNS of a run
 
 @dataclass(frozen=True)
 class Bracket:
-    """Velocities (m/s) between which the critical velocity lies. low: the highest at which the particle rebounds; high: the lowest
-    above `low` at which it sticks; None if no run shows it. undecided: velocities between them without a verdict. shares: velocity
-    -> share of the placements that stick, empty for a single placement."""
+    """The velocities (m/s) between which the critical velocity lies. low: the highest velocity at which the particle rebounds; high:
+    the lowest velocity above `low` at which it sticks; None if no run shows it. undecided: velocities between them without a verdict.
+    shares: for each velocity, the fraction of the placements that stick; empty for a single placement."""
 
     low: float | None
     high: float | None
@@ -58,24 +59,25 @@ class Bracket:
 
     @property
     def velocity(self) -> float | None:
-        """The critical velocity, m/s: the middle of the bracket; None without a bracket."""
+        """The critical velocity, m/s: the middle of the bracket; None if there is no bracket."""
         return None if self.low is None or self.high is None else 0.5 * (self.low + self.high)
 
     @property
     def half_width(self) -> float:
-        """Half the width of the bracket, m/s; infinite without a bracket."""
+        """Half the width of the bracket, m/s; infinite if there is no bracket."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
     def halvings(self, tolerance: float) -> int:
-        """Number of halvings after which the width of the bracket over its middle is `tolerance`; 0 without a bracket."""
+        """Number of times that the bracket must be halved until its width is `tolerance` times its middle; 0 if there is no
+        bracket."""
         if self.velocity is None:
             return 0
         return max(math.ceil(math.log2(2.0 * self.half_width / (tolerance * self.velocity))), 0)
 
     @property
     def band(self) -> tuple[float | None, float | None]:
-        """Velocities (m/s) at which the shares of BAND stick, by linear interpolation between runs; at least as wide as the bracket.
-        None for an end that no run shows. Without shares: the bracket."""
+        """The two velocities (m/s) at which the fractions BAND of the placements stick, by linear interpolation between runs. The
+        band is at least as wide as the bracket. None for an end that no run shows. With a single placement it is the bracket."""
         if self.low is None or self.high is None or not self.shares:
             return self.low, self.high
         below = _reached((v for v in sorted(self.shares, reverse=True) if v <= self.high), self.shares, BAND[0])
@@ -101,8 +103,8 @@ class Bracket:
 
 
 def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: float) -> float | None:
-    """First velocity (m/s), in the order of `velocities`, at which the linearly interpolated shares reach `share`; None if none
-    does."""
+    """First velocity (m/s), in the order of `velocities`, at which the linearly interpolated shares reach `share`; None if there is
+    no such velocity."""
     for v, w in itertools.pairwise(velocities):
         a, b = shares[v] - share, shares[w] - share
         if a * b <= 0.0 and a != b:
@@ -111,7 +113,8 @@ def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: 
 
 
 def bracket(verdicts: Mapping[float, str]) -> Bracket:
-    """The bracket that verdicts by velocity (m/s) show: the lowest sticking one above the highest rebound below it."""
+    """The bracket that verdicts by velocity (m/s) show. Its upper end is the lowest velocity that sticks and is above a rebound; its
+    lower end is the highest rebound below that velocity."""
     rebounds = [v for v, word in verdicts.items() if word == REBOUNDS]
     sticks = [v for v, word in verdicts.items() if word == STICKS]
     above = [v for v in sticks if not rebounds or v > min(rebounds)]
@@ -126,11 +129,11 @@ def bracket(verdicts: Mapping[float, str]) -> Bracket:
 def next_velocity(
     verdicts: Mapping[float, str], start: float, limits: tuple[float, float], tolerance: float
 ) -> float | None:
-    """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit is reached.
+    """The velocity (m/s) for the next run, rounded to 1 m/s; None if the bracket is narrow enough or a limit is reached.
 
-    verdicts: velocity -> verdict; start: the first velocity, m/s; limits: of the search, m/s; tolerance: width of the bracket over its
-    middle. Undecided velocities divide the bracket; its widest part is halved. A particle that rebounds up to the upper limit may
-    stick at velocities below the first one.
+    verdicts: velocity -> verdict; start: the first velocity, m/s; limits: limits of the search, m/s; tolerance: width of the bracket
+    divided by its middle. Undecided velocities divide the bracket; its widest part is halved. A particle that rebounds up to the
+    upper limit may stick at velocities below the first one.
     """
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))
@@ -155,9 +158,9 @@ def next_velocity(
 
 
 def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
-    """The scene (TOML) with its particle at `velocity` m/s. placement: 0 is the scene itself. Other placements change the numerics
-    alone: they move the particle by up to half an element in x and y, with a new mesh of the target, and turn the points of a sphere by
-    up to 45 degrees about y."""
+    """The scene (TOML) with its particle at `velocity` m/s. placement 0 is the scene itself. Other placements change only the
+    discretisation: they move the particle by up to half an element in x and y, make a new mesh of the target, and rotate the points
+    of a sphere by up to 45 degrees about y."""
     data = tomllib.loads(scene.to_toml())
     particle = data["particle"]
     particle["velocity"] = f"{velocity:.6g} m/s"
@@ -173,7 +176,7 @@ def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
 
 
 def check(scene: Scene) -> None:
-    """Raise SceneError unless the scene is one impact whose verdict follows from bonds computed in it."""
+    """Raise SceneError unless the scene is a single impact whose verdict follows from computed bonds."""
     problems = []
     if len(scene.particles) != 1:
         problems.append(
@@ -190,7 +193,7 @@ def check(scene: Scene) -> None:
 
 
 def verdict_words(found: Bracket, formula: PairFormula) -> str:
-    """Text line: velocities at which both computed bonds and the formula give rebound, and at which both give sticking."""
+    """Text line: the velocities at which computed bonds and the formula both give rebound, and at which both give sticking."""
     limits = list(formula.known.values()) if formula.critical is not None else []
     if found.low is None or found.high is None:
         return f"verdict: by the runs alone; {formula.words()}"
@@ -199,7 +202,8 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
 
 
 def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> str:
-    """Text: the error from the resolution, which the band does not include. coarser: number of points -> bracket of the same search."""
+    """Text: the error that comes from the resolution, which the band does not include. coarser: number of points -> bracket of the
+    same search."""
     if coarser:
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
@@ -208,9 +212,9 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
-    """Error (m/s) of the critical velocity, from the critical velocities of the same scene with fewer points (`refinement.error`); at
-    least half the width of the widest bracket. None if fewer than two critical velocities are known, or the one of the scene is not.
-    coarser: as in `resolution_words`."""
+    """Resolution error (m/s) of the critical velocity, from the critical velocities of the same scene with fewer points
+    (`refinement.error`). It is at least half the width of the widest bracket. None if fewer than two critical velocities are known,
+    or that of the scene is not known. coarser: as in `resolution_words`."""
     brackets = {scene.derived.points: found} | dict(coarser)
     known = [(points ** (-1.0 / 3.0), each.velocity) for points, each in brackets.items() if each.velocity is not None]
     if found.velocity is None or len(known) < 2:
@@ -225,11 +229,11 @@ def search(
 ) -> tuple[Bracket, list[Row]]:  # fmt: skip
     """Compute runs of the scene in folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
 
-    folder/critical.csv is written after each velocity, with `about` above its rows. Finished runs in the folder are used. limits (m/s),
-    tolerance: as of `next_velocity`. repeat: number of placements at each velocity; jobs: number of runs at the same time. The majority
-    of the placements decides the verdict at a velocity. An undecided run continues once, for the same time again; if it stays undecided
-    it counts as half a sticking one. log: receives a line for each velocity. Raises SceneError for a scene without computed bonds,
-    StoreError when a run fails.
+    folder/critical.csv is written after each velocity, with `about` above its rows. Finished runs in the folder are used. limits
+    (m/s), tolerance: as in `next_velocity`. repeat: number of placements at each velocity; jobs: number of runs at the same time. The
+    majority of the placements decides the verdict at a velocity. An undecided run continues once, for the same time again; if it
+    stays undecided it counts as one half in the fraction that sticks. log: receives a line for each velocity. Raises SceneError for a
+    scene without computed bonds, StoreError when a run fails.
     """
     check(scene)
     start, runs = plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
@@ -264,8 +268,8 @@ def search(
 
 
 def shares_of(rows: Iterable[Row], repeat: int) -> dict[float, float]:
-    """Velocity (m/s) -> share of the placements that stick, for velocities with `repeat` placements or more. An undecided placement
-    counts as half."""
+    """For each velocity (m/s) with `repeat` placements or more, the fraction of the placements that stick. An undecided placement
+    counts as one half."""
     counts: dict[float, list[float]] = {}
     for row in rows:
         sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict_by_bonds"], 0.5)
@@ -274,19 +278,19 @@ def shares_of(rows: Iterable[Row], repeat: int) -> dict[float, float]:
 
 
 def verdicts_of(shares: Mapping[float, float]) -> dict[float, str]:
-    """Velocity (m/s) -> verdict of the majority of the placements. shares: as of `shares_of`."""
+    """For each velocity (m/s), the verdict of the majority of the placements. shares: as in `shares_of`."""
     return {v: STICKS if share > 0.5 else REBOUNDS if share < 0.5 else UNDECIDED for v, share in shares.items()}
 
 
 def answer_of(rows: Iterable[Row], repeat: int) -> Bracket:
-    """The bracket that the rows of a table show. Velocities with fewer than `repeat` placements do not count."""
+    """The bracket that the rows of a table show. Velocities with fewer than `repeat` placements are ignored."""
     shares = shares_of(rows, repeat)
     return replace(bracket(verdicts_of(shares)), shares=shares if repeat > 1 else {})
 
 
 def slowest_rebound(rows: Iterable[Row]) -> str | None:
-    """Text: the impact velocity with the slowest rebound, and this rebound velocity as mean of the placements; None without a
-    rebound."""
+    """Text: the impact velocity at which the rebound is slowest, and this rebound velocity as mean over the placements; None if no
+    particle rebounds."""
     rebounds: dict[float, list[float]] = {}
     for row in rows:
         if row["verdict_by_bonds"] == REBOUNDS:
@@ -299,13 +303,13 @@ def slowest_rebound(rows: Iterable[Row]) -> str | None:
 
 
 def point_name(velocity: float, placement: int) -> str:
-    """The folder of a run at a velocity (m/s)."""
+    """The name of the folder of a run at a velocity (m/s)."""
     return f"{velocity:.6g}ms" + (f"_{placement}" if placement else "")
 
 
 def rows_at(scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Log = print) -> list[Row]:
-    """Compute `repeat` placements at a velocity (m/s), `jobs` at the same time, unless they are in the folder. Returns their rows. An
-    undecided run continues once, for the same time again. Raises StoreError when a run fails."""
+    """Compute `repeat` placements at a velocity (m/s), `jobs` at the same time, unless they are already in the folder. Returns their
+    rows. An undecided run continues once, for the same time again. Raises StoreError if a run fails."""
     points = {point_name(velocity, k): at_velocity(scene, velocity, k) for k in range(repeat)}
     ended = run_points(folder, points, jobs, log if repeat > 1 else lambda _: None)
     for name, text in points.items():

@@ -13,9 +13,9 @@ _MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
 
 
 def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path, error: float | None = None) -> None:
-    """Draw, over the impact velocity: the coefficient of restitution, the bonded area over the cross-section of the particle
-    (diameter, m), and with several placements the share that sticks. Markers show verdicts, lines join means. error: from the
-    resolution, m/s, None if not measured."""
+    """Draw three quantities against the impact velocity: the coefficient of restitution; the bonded area divided by the cross-section
+    of the particle (diameter in m); with several placements the fraction that sticks. Markers show verdicts, lines connect means.
+    error: error from the resolution, m/s, None if not measured."""
     figure = blank(10.0 + 4.0 * bool(bracket.shares), 4.0, dpi=130, layout="constrained")
     left, right, *more = figure.subplots(1, 3 if bracket.shares else 2)
     section = 0.25 * math.pi * diameter**2

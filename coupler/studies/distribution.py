@@ -21,8 +21,8 @@ FEWEST = 3  # runs
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over the runs. values (n,): SI, ascending; quantiles: at SHARES, SI; correlations: key of the scene -> Spearman's rank
-    correlation with it; error: median of the errors from the resolution, SI, None if no run measures it."""
+    """The distribution of a measure in the runs. values (n,): SI, ascending; quantiles: at SHARES, SI; correlations: Spearman's rank
+    correlation with each key of the scene; error: median of the resolution errors, SI, None if no run measures it."""
 
     measure: Measure
     values: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Spread:
 
     @property
     def strongest(self) -> str:
-        """Text: the key with the strongest rank correlation, and the correlation; "" without any."""
+        """Text: the key with the strongest rank correlation, and this correlation; "" if there is none."""
         if not self.correlations:
             return ""
         key = max(self.correlations, key=lambda name: abs(self.correlations[name]))
@@ -40,14 +40,14 @@ class Spread:
 
 
 def varied_numbers(rows: Sequence[Row], varied: Sequence[str]) -> tuple[str, ...]:
-    """The numbers of the scenes that belong to varied keys and differ between rows; "particle.offset[1]" belongs to
-    "particle.offset"."""
+    """The numbers of the scenes that belong to varied keys and differ between rows. For example "particle.offset[1]" belongs to the
+    key "particle.offset"."""
     keys = {key: None for row in rows for key in row["keys"] if key in varied or key.partition("[")[0] in varied}
     return tuple(key for key in keys if len({row["keys"].get(key) for row in rows if row["keys"]}) > 1)
 
 
 def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
-    """Distribution of each measure that at least FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
+    """The distribution of each measure that at least FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
     result = []
     for name in MEASURES:
         used = [row for row in rows if row["status"] == "done" and row[name] is not None]
@@ -78,7 +78,7 @@ def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
 
 
 def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
-    """Draw the cumulative distribution of each measure in a panel; shaded between the first and the last of SHARES."""
+    """Draw the cumulative distribution of each measure in a panel. The range between the first and the last of SHARES is shaded."""
     columns = min(3, len(measures))
     rows = math.ceil(len(measures) / columns)
     figure = blank(3.6 * columns, 2.7 * rows + 0.3, dpi=130, layout="constrained")

@@ -1,4 +1,4 @@
-"""Distributions of an ensemble, and values drawn from them with a quasi-random sequence."""
+"""Probability distributions of an ensemble, and values drawn from them with a quasi-random sequence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,8 @@ _EXAMPLES = (
 @dataclass(frozen=True)
 class Distribution:
     """Distribution of one number of a scene, or a choice among values. kind: key in KINDS; numbers: values of its two parameters, SI;
-    unit: in which values are written, "" for plain numbers; limits: least and greatest value, SI; values: those of a choice."""
+    unit: unit in which values are written, "" for plain numbers; limits: smallest and largest value, SI; values: values of a
+    choice."""
 
     kind: str
     numbers: tuple[float, float] = (0.0, 1.0)
@@ -36,7 +37,7 @@ class Distribution:
         return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
 
     def at(self, share: float) -> object:
-        """The quantile at `share` (0 to 1), as text with its unit or as number."""
+        """The quantile at the fraction `share` (0 to 1), as text with its unit or as number."""
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         a, b = self.numbers
@@ -83,7 +84,7 @@ def distribution_of(table: object) -> Distribution:
 
 
 def _number(key: str, value: object) -> tuple[float, str]:
-    """A number in SI and the unit that it is given in. Raises ValueError."""
+    """A number in SI and the unit in which it is given. Raises ValueError."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value), ""
     unit = value.partition(" ")[2].strip() if isinstance(value, str) else ""

@@ -1,4 +1,4 @@
-"""A job: one question of a process engineer, answered by a folder of runs, job.json and one page."""
+"""A job: one question of a process engineer. Its answer is a folder of runs, the file job.json and one HTML page."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,8 +33,8 @@ PAGE, RECORD = "job.html", "job.json"
 def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], jobs: int, log: Log) -> dict[str, Any]:
     """Compute the runs of a job that are missing in its folder; write job.json and job.html. Returns the contents of job.json.
 
-    text: the file of the job; takes: gives the processor time of a scene, s; jobs: number of cores. Raises SceneError if the time
-    of the job is too short, StoreError if the folder holds another job.
+    text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
+    SceneError if the time of the job is too short, StoreError if the folder holds another job.
     """
     choice, seconds, then = choose(job, takes, jobs)  # before the folder is made
     folder_of(text, out)
@@ -50,7 +50,7 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
 
 
 def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
-    """The page of a job as HTML. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
+    """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
     coating."""
     lines, sheet = numbers(job, found, coating), Page()
     pictures = [(embedded(window(job, found)), "The powder in the window of this pair")]
@@ -130,8 +130,8 @@ def _assumed(job: Job) -> list[str]:
 
 
 def window(job: Job, found: Sequence[Bonds]) -> Figure:
-    """Velocity over diameter: the powder at impact, and the critical velocities of the pair from the formula and from computed
-    bonds."""
+    """Figure of velocity against diameter: the powder at impact, and the critical velocities of the pair of metals from the formula
+    and from computed bonds."""
     spray, figure = job.arrived, blank(5.6, 3.9, 130, "constrained")
     axis, D = figure.add_subplot(), 1e6 * spray.diameter
     axis.plot(D, spray.velocity, "o-", color="k", ms=3, label="powder at impact (25 classes of equal mass)")

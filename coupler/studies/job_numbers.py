@@ -1,4 +1,4 @@
-"""The numbers of a job with ranges, marks and origins: the contents of job.json and the table of its page."""
+"""The numbers of a job with ranges, trust marks and origins. They are the contents of job.json and the table of its page."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -30,8 +30,9 @@ Range = tuple[float, float, float]  # value, least, greatest
 
 @dataclass(frozen=True)
 class Number:
-    """A line of the table. formula, computed: value with its range as text, "" for none; values: the same in SI, for job.json; colour,
-    why: its mark (`trust.Mark`); how: the method; folder: of its runs, relative to the folder of the job."""
+    """A line of the table of numbers. formula, computed: value with its range as text, "" if there is none; values: the same in SI,
+    for job.json; colour, why: its trust mark (`trust.Mark`); how: method; folder: folder of its runs, relative to the folder of the
+    job."""
 
     label: str
     formula: str
@@ -44,13 +45,14 @@ class Number:
 
 
 def formula_share(spray: Spray, on_substrate: bool) -> Range:
-    """Share of the mass that sticks by the formula; least and greatest share within BAND of the critical velocity."""
+    """Mass fraction that sticks by the formula. Returns also its smallest and largest value if the critical velocity changes by
+    BAND."""
     each = [spray.fates(f, on_substrate)[STICKS] for f in (1.0, *np.linspace(1.0 - BAND, 1.0 + BAND, 9).tolist())]
     return each[0], min(each), max(each)
 
 
 def numbers(job: Job, bonds: Sequence[Bonds], coating: Coating) -> list[Number]:
-    """All lines of the table, in their order."""
+    """All lines of the table of numbers, in their order."""
     spray, lines = job.arrived, [flown(job)]
     for base in job.bases:
         found = next((each for each in bonds if each.base == base), None)
@@ -60,7 +62,7 @@ def numbers(job: Job, bonds: Sequence[Bonds], coating: Coating) -> list[Number]:
 
 
 def flown(job: Job) -> Number:
-    """The line of the velocities at impact."""
+    """The table line of the velocities at impact."""
     spray, k = job.arrived, [int(len(job.arrived.share) * share) for share in (0.1, 0.5, 0.9)]
     v, T = (", ".join(f"{values[i]:.0f}" for i in k) for values in (spray.velocity, spray.temperature))
     slowest, middle, fastest = sorted(spray.velocity[k].tolist())
@@ -70,8 +72,8 @@ def flown(job: Job) -> Number:
 
 
 def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
-    """The lines of a metal that the powder hits: critical velocity, and share of the powder that sticks. found: from computed bonds,
-    None without."""
+    """The table lines about a metal that the powder hits: critical velocity, and mass fraction that sticks. found: result of computed
+    bonds, None if there is none."""
     spray, metal, is_own = job.arrived, job.metal.name, base == job.bases[-1]
     k, folder = len(spray.formula) // 2, found.folder if found else ""
     formula, v, name = spray.formula[k], float(spray.velocity[k]), job.metals[base].name
@@ -99,7 +101,7 @@ def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
 
 
 def critical_words(found: Bonds | None) -> str:
-    """The critical velocity from computed bonds as text, with its range."""
+    """The critical velocity from computed bonds as text with its range."""
     if found is None:
         return "not computed"
     low, high = ends(found.found)
@@ -112,8 +114,8 @@ def critical_words(found: Bonds | None) -> str:
 
 
 def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: float) -> list[Number]:
-    """The lines of the coating; none without a computed coating. shares: "formula", "computed" -> deposition efficiency; v: velocity of
-    the median particle, m/s."""
+    """The table lines about the coating; none if no coating is computed. shares: deposition efficiency by "formula" and by "computed"
+    bonds; v: velocity of the median particle, m/s."""
     if not coating.measures:
         return []
     name, (folder, first) = job.metal.name, next(iter(coating.measures.items()))
@@ -137,7 +139,7 @@ def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: f
 
 
 def pores(coating: CoatingMeasures) -> float:
-    """Open plus closed porosity."""
+    """The sum of open and closed porosity."""
     return coating.porosity_open + coating.porosity_closed
 
 
@@ -158,7 +160,7 @@ def _um(layer: Range | None) -> str:
 
 
 def answer(job: Job, lines: Sequence[Number]) -> list[str]:
-    """The answer in sentences; disagreements between formula and computed bonds come first."""
+    """The answer of the job in sentences. Disagreements between formula and computed bonds come first."""
     texts = []
     for line in lines:
         if (by_formula := line.values.get("formula")) is None or "ritical" in line.label or "Thickness" in line.label:
@@ -175,7 +177,7 @@ def answer(job: Job, lines: Sequence[Number]) -> list[str]:
 
 
 def errors_in(choice: Choice, bonds: Sequence[Bonds], coating: Coating) -> list[str]:
-    """The errors that the ranges of the numbers include, as text."""
+    """Text: the kinds of error that the ranges of the numbers include."""
     texts = [f"by the formula: ± {BAND:.0%} of the critical velocity"]
     if bonds:
         texts.append(f"by bonds: the bracket of the search ({choice.tolerance:.0%})")

@@ -25,8 +25,8 @@ OTHER = 0.1  # width of a bracket over its middle, for searches that measure an 
 
 @dataclass(frozen=True)
 class Bonds:
-    """Critical velocity of the median particle on the metal `base`, from computed bonds. folder: of the runs; found: bracket;
-    error: from the resolution, m/s, None if not measured; sets: other strength set of the powder -> bracket; failed: why there is
+    """Critical velocity of the median particle on the metal `base`, from computed bonds. folder: folder of the runs; found: bracket;
+    error: resolution error, m/s, None if not measured; sets: bracket for each other strength set of the powder; failed: why there is
     no bracket."""
 
     base: str
@@ -38,12 +38,14 @@ class Bonds:
 
     @property
     def velocity(self) -> float:
-        """The critical velocity, m/s: middle of the bracket, or its only end; infinite if the particle rebounds at all velocities."""
+        """The critical velocity, m/s: the middle of the bracket, or its only known end; infinite if the particle rebounds at all
+        velocities."""
         return 0.5 * sum(ends(self.found))
 
     @property
     def band(self) -> tuple[float, float]:
-        """Least and greatest critical velocity, m/s, from the bracket, the error of the resolution and the other strength sets."""
+        """Smallest and largest critical velocity, m/s. The range includes the bracket, the resolution error and the other strength
+        sets."""
         low, high = ends(self.found)
         if self.error is not None and self.found.velocity is not None:
             low, high = min(low, self.found.velocity - self.error), max(high, self.found.velocity + self.error)
@@ -52,25 +54,27 @@ class Bonds:
 
 
 def ends(found: critical.Bracket) -> tuple[float, float]:
-    """Least and greatest critical velocity (m/s) of a bracket. Rebound at all velocities: the greatest is infinite. Sticking at all:
-    both are the velocity of the slowest run. No verdict: 0 and infinite."""
+    """Smallest and largest critical velocity (m/s) of a bracket. If the particle rebounds at all velocities, the largest is infinite.
+    If it sticks at all, both are the velocity of the slowest run. Without any verdict they are 0 and infinite."""
     return found.low or found.high or 0.0, math.inf if found.high is None else found.high
 
 
 @dataclass(frozen=True)
 class Coating:
-    """Coatings of several seeds. measures: folder -> measures; failed: point without a coating -> reason."""
+    """Coatings of several seeds. measures: measures of each coating by its folder; failed: reason for each point without a
+    coating."""
 
     measures: Mapping[str, CoatingMeasures]
     failed: Mapping[str, str]
 
     def over(self, value: Callable[[CoatingMeasures], float]) -> SeedError:
-        """A measure over the seeds with its error; at least one seed has measures."""
+        """A measure as mean over the seeds, with its error. At least one seed must have measures. value: function that gives the
+        measure of a coating."""
         return seed_error([value(each) for each in self.measures.values()])
 
 
 def folder_of(text: str, out: Path) -> None:
-    """Write the text of a job into its folder `out`. Raises StoreError if the folder holds a job that differs in keys other than
+    """Write the text of a job into its folder `out`. Raises StoreError if the folder holds a job that differs in other keys than
     `within`."""
     claim_folder(out, "job", FILES)
     kept = out / FILES[0]
@@ -82,8 +86,8 @@ def folder_of(text: str, out: Path) -> None:
 def search(
     job: Job, base: str, points: int, tolerance: float, placements: int, out: Path, jobs: int, log: Log, strength: str = ""
 ) -> critical.Bracket:  # fmt: skip
-    """Search the critical velocity of the median particle on a metal. points, tolerance, placements: as in `Choice`; strength: another
-    strength set of the powder. Raises ColdsprayError if no velocity can be computed."""
+    """Search the critical velocity of the median particle on a metal. points, tolerance, placements: as in `Choice`; strength:
+    another strength set of the powder. Raises ColdsprayError if no velocity can be computed."""
     v = float(job.arrived.velocity[len(job.arrived.velocity) // 2])
     name = "_".join([f"{points}", *([strength] if strength else [])])
     log(f"critical velocity on {base}: {points} points{', ' + strength if strength else ''}")
@@ -92,7 +96,7 @@ def search(
 
 
 def bonds(job: Job, choice: Choice, base: str, out: Path, jobs: int, log: Log) -> Bonds:
-    """The critical velocity on a metal with its bracket alone. A search that fails gives the reason in `failed`."""
+    """The critical velocity on a metal, with its bracket as the only error. If the search fails, `failed` has the reason."""
     folder = f"bonds/on_{base}/{choice.bonds}"
     try:
         return Bonds(base, folder, search(job, base, choice.bonds, choice.tolerance, choice.placements, out, jobs, log))
@@ -101,7 +105,8 @@ def bonds(job: Job, choice: Choice, base: str, out: Path, jobs: int, log: Log) -
 
 
 def with_errors(job: Job, choice: Choice, known: Bonds, out: Path, jobs: int, log: Log) -> Bonds:
-    """A critical velocity with the further errors of the choice: from the resolution and from the strength of the powder."""
+    """The critical velocity `known`, completed by the other errors of the choice: those of the resolution and of the powder's
+    strength."""
     error, sets = None, {}
     wanted = [(choice.coarser, "")] * (choice.coarser > 0)
     wanted += [(choice.sets, name) for name in job.other_sets if choice.sets]
@@ -134,8 +139,8 @@ def coatings(job: Job, choice: Choice, out: Path, jobs: int, log: Log) -> Coatin
 
 
 def efficiency(spray: Spray, bonds: Bonds) -> tuple[float, float, float]:
-    """Share of the mass that sticks on a metal from computed bonds; least and greatest share. The critical velocity is computed for the
-    median particle; for other sizes and temperatures it is scaled as the formula says."""
+    """Mass fraction that sticks on a metal by computed bonds, with its smallest and largest value. The critical velocity is computed
+    for the median particle; for other sizes and temperatures it is scaled as in the formula."""
     formula = float(spray.critical[len(spray.critical) // 2])
 
     def share(velocity: float) -> float:
@@ -148,6 +153,7 @@ def efficiency(spray: Spray, bonds: Bonds) -> tuple[float, float, float]:
 
 
 def thickness(job: Job, share: float, porosity: float) -> float:
-    """Mean thickness (m) of one pass over the width of the spot: feed share / (density (1 - porosity) speed spot)."""
+    """Mean thickness (m) of one pass over the width of the spray spot: feed rate times `share`, divided by density, (1 - porosity),
+    traverse speed and spot diameter."""
     track = job.data.spray
     return track.feed_rate * share / (job.metal.rho * (1.0 - porosity) * track.traverse_speed * track.spot)

@@ -1,4 +1,4 @@
-"""Pictures of a map: a measure over the axes as a surface, as lines or as points; markers show the verdicts of the runs."""
+"""Pictures of a map: a measure over the axes as a surface, as lines or as points. Markers show the verdicts of the runs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +41,7 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
 
     Two or three axes with enough points (`maps.sparse`): a surface and its band inside the convex hull of the points, with a row of
     panels for each value of the third axis. One axis: a curve, divided where the verdict changes. Else: points and straight lines.
-    axes: as of `runs_table.add_axes`; by default those of AXES that vary. Returns text lines: file and errors of each interpolation,
+    axes: as in `runs_table.add_axes`; by default those of AXES that vary. Returns text lines: file and errors of each interpolation,
     its limits, and the next point to compute.
     """
     remarks = []
@@ -104,7 +104,7 @@ def _quality(fit: Interpolation, m: Measure) -> str:
 
 
 def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, list[Row]]:
-    """Kind of MARKERS -> rows. Rows that failed, or have no number for `quantity`, are under NO_VALUE."""
+    """The rows for each kind of MARKERS. Rows that failed, or have no number for `quantity`, are under NO_VALUE."""
     kinds: dict[str, list[Row]] = {kind: [] for kind in MARKERS}
     for row in rows:
         is_over = row["status"] in ("done", "undecided") and (quantity is None or row[quantity] is not None)
@@ -113,7 +113,7 @@ def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, li
 
 
 def _form_lines(rows: Sequence[Row], axes: Axes_) -> bool:
-    """Whether `_lines` draws at most MOST_LINES lines, with more than one point for each on average."""
+    """Whether the points form lines: `_lines` draws at most MOST_LINES lines, with more than one point for each on average."""
     x_axis = _longest(rows, axes)
     number = len({tuple(row[axis] for axis in axes if axis != x_axis) for row in rows})
     return number <= MOST_LINES and len(rows) > number
@@ -125,8 +125,8 @@ def _longest(rows: Sequence[Row], axes: Axes_) -> str:
 
 
 def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
-    """A quantity over the axis with the most values, one line for each combination of the other axes. Lines are straight between
-    points; with a single axis the interpolation and its band are drawn, separately on each side of a change of verdict
+    """Draw a quantity against the axis with the most values, one line for each combination of the other axes. Lines are straight
+    between points. With a single axis the interpolation and its band are drawn, separately on each side of a change of verdict
     (`maps.sides`)."""
     m, done = MEASURES[quantity], maps.with_value(rows, quantity)
     x_axis = _longest(done, axes)
@@ -165,7 +165,7 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
 
 def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interpolation | None, colour: str | None,
           label: str) -> str:  # fmt: skip
-    """Draw one side of a line: the interpolation and its band, or straight lines. colour: None takes the next one. Returns the
+    """Draw one side of a line: the interpolation with its band, or straight lines. colour: None uses the next colour. Returns the
     colour."""
     factor = MEASURES[quantity].factor
     line = sorted(rows, key=lambda row: row[x_axis])
@@ -184,7 +184,8 @@ def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interp
 
 
 def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
-    """The points over the first two axes, coloured by the quantity: for points that support no surface and form no lines."""
+    """Draw points in the plane of the first two axes, coloured by the quantity. It is used if the points support no surface and form
+    no lines."""
     m, done = MEASURES[quantity], maps.with_value(rows, quantity)
     values = [m.factor * row[quantity] for row in done]
     figure = blank(6.4, 4.6, dpi=130, layout="constrained")
@@ -202,8 +203,8 @@ def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
 
 
 def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolation) -> Figure:
-    """Mean and half width of the 95 % band side by side; a row for each value of the third axis, or for three values if there are
-    more than MOST_SLICES."""
+    """Draw mean and half width of the 95 % band side by side, with a row for each value of the third axis. If it has more than
+    MOST_SLICES values, three are drawn."""
     factor = MEASURES[quantity].factor
     x_axis, y_axis, *third = axes
     done = maps.with_value(rows, quantity)
@@ -212,8 +213,8 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
         slices = [float(f"{value:.3g}") for value in np.quantile([row[third[0]] for row in done], (0.25, 0.5, 0.75))]
 
     def nearest(place: float | None) -> float | None:
-        """The slice in which a point is drawn: the nearest one to `place`, the value of the point on the third axis. None if the point
-        has no such value."""
+        """The slice in which a point is drawn: the one nearest to its value `place` on the third axis. None if the point has no such
+        value."""
         known = [each for each in slices if each is not None]
         return None if place is None else min(known, key=lambda each: abs(each - place))
 
@@ -250,7 +251,7 @@ def _spaced(values: NDArray, axis: str, count: int) -> NDArray:
 
 
 def _ends(low: float, high: float, quantity: str) -> tuple[float, float]:
-    """Ends of the colour scale; for a ratio to a critical value, 1 lies in the middle."""
+    """Limits of the colour scale. For a ratio to a critical value, 1 lies in the middle."""
     reach = max(high - 1.0, 1.0 - low)
     return (1.0 - reach, 1.0 + reach) if quantity in FORMULAS else (low, high)
 
@@ -280,7 +281,7 @@ def _contours(at: Axes, field: tuple[NDArray, NDArray, NDArray], levels: NDArray
 def _points(
     at: Axes, rows: Sequence[Row], x_axis: str, y_axis: str, quantity: str, colours: ScalarMappable | None = None
 ) -> None:
-    """Draw the points with the markers of their verdicts. colours: scale of the quantity; white points without it."""
+    """Draw the points with the markers of their verdicts. colours: colour scale of the quantity; without it the points are white."""
     for kind, points in by_verdict(rows, quantity).items():
         points = [row for row in points if row[x_axis] is not None and row[y_axis] is not None]
         values = [MEASURES[quantity].factor * row[quantity] for row in points] if colours and kind != NO_VALUE else None
@@ -300,7 +301,8 @@ def _scatter(
     at: Axes, x: Sequence[float], y: Sequence[float], kind: str, values: Sequence[float] | None = None,
     colours: ScalarMappable | None = None, edgecolors: str | Sequence[str] = "k",
 ) -> None:  # fmt: skip
-    """Draw points of one kind of MARKERS, with an entry in the legend. Colours: of `values`, else white, orange for NO_VALUE."""
+    """Draw the points of one kind of MARKERS, with an entry in the legend. Their colours show `values`; without values they are
+    white, or orange for NO_VALUE."""
     if not x:
         return
     style: dict[str, Any] = {"c": "#d55e00" if kind == NO_VALUE else "w", "s": 22, "edgecolors": edgecolors}

@@ -45,10 +45,10 @@ class Interpolation:
     """A Gaussian process through the points of a map, over the columns `axes`. Errors are in SI units of the quantity.
 
     loo_rms: root mean square error of predicting each point from all others (leave-one-out); loo_inside: share of the points inside
-    the 95 % band of this prediction; gap_rms: axis -> the same error if all points with one value of this axis are left out together.
-    It covers inner values only, of axes with at least four values and on average two points for each. spread: standard deviation of
-    the values; warnings: text on correlation lengths that the points do not resolve. _hull (k,d+1): half spaces n, b with
-    n x + b <= 0 inside the convex hull of the points; x (d,) is scaled by _centre and _scale.
+    the 95 % band of this prediction; gap_rms: for each axis, the same error if all points with one value of this axis are left out
+    together. Only inner values count, of axes with at least four values and on average two points for each value. spread: standard
+    deviation of the values; warnings: text on correlation lengths that the points do not resolve. _hull (k,d+1): half spaces n, b
+    with n x + b <= 0 inside the convex hull of the points; x (d,) is scaled by _centre and _scale.
     """
 
     axes: tuple[str, ...]
@@ -64,7 +64,7 @@ class Interpolation:
 
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
         """Mean and standard deviation, SI, at values of the axes (numbers, or arrays of one shape). The standard deviation is that of
-        a new run, with its scatter."""
+        a new run, including its scatter."""
         x, shape = self._scaled(at)
         mean, std = self._model.predict(x, return_std=True)
         return mean.reshape(shape), std.reshape(shape)
@@ -131,8 +131,9 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
 
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
-    """Why the points do not support an interpolation over the axes; "" if they do. Each axis needs FEWEST_VALUES values. Two axes need
-    FEWEST_IN_PLANE points, more axes POINTS_PER_AXIS for each, and the points must not lie near one line or plane (SPREAD)."""
+    """Text: why the points do not support an interpolation over the axes; "" if they do. Each axis needs FEWEST_VALUES values. Two
+    axes need FEWEST_IN_PLANE points, more axes need POINTS_PER_AXIS points for each axis. The points must not lie near one line or
+    plane (SPREAD)."""
     x = np.array([[row[axis] for axis in axes] for row in rows], float).reshape(-1, len(axes))
     counts = {axis: len(np.unique(column)) for axis, column in zip(axes, x.T, strict=True)}
     few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
@@ -162,7 +163,7 @@ def _distances(standard: NDArray) -> NDArray:
 
 
 def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
-    """The rows with status "done" and a number for the quantity."""
+    """The rows that have status "done" and a number for the quantity."""
     return [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
 
 
@@ -199,7 +200,7 @@ def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Plac
 
 
 def _common_verdict(rows: Sequence[Row]) -> str:
-    """The verdict of rows of one parameter point; undecided if they differ."""
+    """The verdict of rows of one parameter point; "undecided" if they differ."""
     words = {str(row.get("verdict") or "") for row in rows}
     return words.pop() if len(words) == 1 else UNDECIDED
 
@@ -224,8 +225,8 @@ def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[floa
 
 @dataclass(frozen=True)
 class NextPoint:
-    """at: the next point to compute, axis -> SI value, empty if there is none; why: the reason, "" for the midpoint of the two
-    neighbours whose values differ most."""
+    """The next point to compute. at: SI value of each axis, empty if there is no such point; why: the reason, "" for the midpoint of
+    the two neighbours whose values differ most."""
 
     at: dict[str, float]
     why: str = ""
@@ -236,9 +237,9 @@ class NextPoint:
 
 
 def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> NextPoint:
-    """Next point to compute, not yet in `rows`; empty for one of FORMULAS, or if no point remains. First: midpoint of the widest of
-    `brackets`. Then: the midpoint of two points with the widest confidence band; without an interpolation, the midpoint of the two
-    neighbours whose values differ most."""
+    """The next point to compute, which is not yet in `rows`. Empty for a quantity of FORMULAS, or if no point remains. The first
+    choice is the midpoint of the widest of `brackets`, then the midpoint of the two points with the widest confidence band. Without
+    an interpolation the second choice is the midpoint of the two neighbours whose values differ most."""
     label = measure(quantity).label
     if quantity in FORMULAS:
         return NextPoint({}, f"{label} is a formula of the scene and needs no run")
@@ -289,7 +290,7 @@ def best_point(
 
 
 def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
-    """A value (SI) of a measure or an axis in its display unit: "velocity 670.8 m/s"; named: with its short name."""
+    """A value (SI) of a measure or an axis as text in its display unit: "velocity 670.8 m/s". named: include its short name."""
     m = measure(key)
     return f"{m.short + ' ' if named else ''}{value * m.factor:.{digits}g} {m.unit}".rstrip()
 
@@ -300,7 +301,7 @@ def place_words(at: Mapping[str, float]) -> str:
 
 
 def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
-    """The middle of two points on each axis, rounded to DIGITS where they differ."""
+    """The midpoint of two points on each axis. Where the points differ, it is rounded to DIGITS digits."""
     middles = ((p * q) ** 0.5 if axis in LOGARITHMIC else 0.5 * (p + q) for p, q, axis in zip(a, b, axes, strict=True))
     return tuple(p if p == q else float(f"{m:.{DIGITS}g}") for p, q, m in zip(a, b, middles, strict=True))
 
@@ -341,6 +342,6 @@ def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
 
 
 def _unit(logs: NDArray) -> NDArray:
-    """Points (n,d), scaled to 0..1 on each axis."""
+    """Points (n,d), each axis scaled to 0..1. logs: the points with logarithms."""
     low, high = logs.min(axis=0), logs.max(axis=0)
     return (logs - low) / np.where(high > low, high - low, 1.0)

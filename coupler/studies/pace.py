@@ -28,7 +28,8 @@ FACTORS = (0.05, 50.0)  # limits of a factor
 
 @dataclass(frozen=True)
 class Pace:
-    """factor: time on this machine over the time from the constants of `plan.cost`; source: its origin, for messages."""
+    """The speed of a machine. factor: computing time on it divided by the time from the constants of `plan.cost`; source: origin of
+    the factor, for messages."""
 
     factor: float
     source: str
@@ -39,7 +40,8 @@ class Pace:
 
 
 def lines(plan: Plan, pace: Pace, verbose: bool = True) -> str:
-    """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with their sources."""
+    """Text lines for `check`: wall time of a plan on this machine, and the expected error. verbose: include where the values come
+    from."""
     shares = refinement.forecast(plan.impacts[-1].points)
     cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in CONVERGING if name in shares]
     text = f"a forecast: +- {', '.join(cells)}; the run measures its own"
@@ -53,8 +55,8 @@ def lines(plan: Plan, pace: Pace, verbose: bool = True) -> str:
 
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
-    """The pace of this machine. measure: `timing.measure`; it is called if the cache has no entry, and with `anew`. It takes some
-    seconds, or half a minute if kernels have to be compiled. If it fails the factor is 1, and `source` has the reason."""
+    """The speed of this machine. measure: `timing.measure`, which is called if the cache has no entry, or with `anew`. It takes some
+    seconds, or half a minute if kernels must be compiled. If it fails the factor is 1, and `source` has the reason."""
     path, key = user_folder() / "pace.json", machine()
     known = _read(path)
     if anew or key not in known:
@@ -75,7 +77,7 @@ def machine() -> str:
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """The entries of the cache: machine -> {"factor", "date"}; empty if the file is missing or damaged."""
+    """The entries of the cache: {"factor", "date"} for each machine; empty if the file is missing or damaged."""
     with suppress(StoreError, LookupError, TypeError, ValueError):
         known: dict[str, Any] = read_json_object(path)
         timed = ((name, float(entry["factor"]), str(entry["date"])) for name, entry in known.items())

@@ -1,4 +1,4 @@
-"""Many scenes, each run in its own folder, by any executor: the one way in which all studies compute.
+"""Runs of many scenes, each in its own folder, with any executor. All studies use this module for their computations.
 
 OUT/<point>.toml is a scene, OUT/<point>/ the folder of its run, OUT/<point>.json its status once the run has ended. A point with a
 status is not computed again; a point without one is computed, or its run continues. A stopped study therefore continues with the
@@ -35,7 +35,7 @@ _running: set[subprocess.Popen[str]] = set()  # of this process
 
 
 def results(folder: Path, points: Mapping[str, str], jobs: int, log: Log) -> tuple[dict[str, Result], dict[str, str]]:
-    """Run the points of a folder as `run_points`. Returns the results by point, and for each point without one the reason."""
+    """Run the points of a folder as in `run_points`. Returns the result of each point, or the reason why a point has none."""
     statuses = run_points(folder, points, jobs, log)
     found = {point: Result(folder / point) for point, status in statuses.items() if status in _STATUS.values()}
     reasons = {point: reason_of(folder, point) for point in statuses if point not in found}
@@ -97,14 +97,15 @@ def run_points(
 
 
 def run_point(folder: Path, point: str, text: str, again: bool = False, threads: int = 1) -> dict[str, object]:
-    """Run a scene (TOML) as a point of a folder, unless it has a status. Returns its status as `compute`. again: continue a run that
-    is undecided."""
+    """Run a scene (TOML) as a point of a folder, unless it already has a status. Returns its status as `compute` does. again:
+    continue a run that is undecided."""
     ended = None if again else _kept(folder, point, text)
     return compute(write_scene(folder, point, text), threads) if ended is None else ended
 
 
 def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
-    """Stored status of a point of this scene (TOML); None if it has none, or was refused: to repeat that costs nothing."""
+    """Stored status of a point with this scene (TOML). None if there is no status, or the scene was refused, because a new attempt
+    costs nothing."""
     known, scene = folder / f"{point}.json", write_scene(folder, point, text)
     fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
     ended = how_ended(known) if fresh else None
@@ -112,7 +113,7 @@ def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
 
 
 def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
-    """The points whose results in a folder belong to another scene (TOML)."""
+    """The points of a folder whose results belong to another scene (TOML)."""
     others = []
     for point, text in points.items():
         scene = folder / f"{point}.toml"
@@ -159,7 +160,8 @@ def compute(scene: Path, threads: int = 1) -> dict[str, object]:
 
 
 def _wait_for(folder: Path) -> None:
-    """Wait until no other process writes to the folder: a run may continue after the main process of its study was killed."""
+    """Wait until no other process writes to the folder. A run may continue for some time after the main process of its study was
+    killed."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
@@ -170,7 +172,7 @@ def _wait_for(folder: Path) -> None:
 
 
 def _command(scene: Path, folder: Path, threads: int) -> list[str]:
-    """Command that computes a scene, or continues it if its folder has a run of the same scene."""
+    """The command that computes a scene. If the scene's folder has a run of the same scene, the command continues it."""
     verb: list[object] = ["run", scene, "--out", folder, "--force"]
     measured = False
     with contextlib.suppress(SceneError, InputError):  # a scene that cannot be read is refused by its run
@@ -194,7 +196,7 @@ def _reason(code: int, errors: str) -> str:
 
 
 def how_ended(path: Path) -> dict[str, object] | None:
-    """The status in a .json file (`compute`); None if it is missing or damaged."""
+    """The status in a .json file that `compute` has written; None if the file is missing or damaged."""
     try:
         ended = read_json_object(path)
     except InputError:

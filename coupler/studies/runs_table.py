@@ -33,9 +33,10 @@ Row = dict[str, Any]
 def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, sorted by material and axes.
 
-    status: one of STATUSES; `reason` explains "failed" and "undecided". Measures are those of the summary, of the last impact; runs
+    status: one of STATUSES; `reason` explains "failed" and "undecided". Measures are those of the last impact in the summary; runs
     that are not finished have none. keys: every number of the scene by its key, SI units; units: the units in which the scene gives
-    them. verdict: of the run; version: of the program that computed it. Raises StoreError if the folder does not exist or has no point.
+    the numbers. verdict: verdict of the run; version: version of the program that computed it. Raises StoreError if the folder does
+    not exist or has no point.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -86,7 +87,7 @@ def _row(folder: Path, name: str) -> Row:
 
 
 def scene_file(folder: Path, name: str) -> Path:
-    """The file of the scene of a point: beside the folder of its run, else in that folder."""
+    """The path of the scene of a point: beside the folder of its run or, if it is not there, in that folder."""
     beside = folder / f"{name}.toml"
     return beside if beside.is_file() else folder / name / "scene.toml"
 
@@ -105,8 +106,8 @@ def scene_numbers(scene: Mapping[str, object]) -> Iterator[tuple[str, float, str
 
 
 def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
-    """Add keys of the scene to the rows as axes. Returns their names in the rows. Raises StoreError for a key that has no number in
-    any scene, that is given twice, or that has one value in all points."""
+    """Add keys of the scene as axes to the rows. Returns the names of these axes in the rows. Raises StoreError for a key that has no
+    number in any scene, that is given twice, or that has the same value in all points."""
     names = []
     for key in keys:
         name = KEYS.get(key, key)
@@ -140,7 +141,7 @@ def counts(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _number(value: object) -> float | None:
-    """A measure of a summary; None if it is no number, or larger than LARGEST."""
+    """The value of a measure in a summary; None if it is not a number, or larger than LARGEST."""
     return value if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
@@ -152,7 +153,7 @@ def _scene_of(path: Path) -> dict[str, Any]:
 
 
 def _as_written(path: Path) -> Row:
-    """Material and axes from the file of a scene, as far as they can be read."""
+    """Material and axes of a point, read directly from the file of its scene as far as possible."""
     row, data = dict[str, Any](material="", substrate=""), _scene_of(path)
     with contextlib.suppress(ValueError, LookupError, TypeError):
         row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
@@ -162,8 +163,8 @@ def _as_written(path: Path) -> Row:
 
 
 def write_table(rows: Iterable[Row], path: Path, about: str = "", axes: Sequence[str] = ()) -> None:
-    """Write the rows as CSV. about: the first line, after "# "; axes: further columns. Columns of ERRORS are written if a run has them.
-    Raises StoreError."""
+    """Write the rows as a CSV file. about: text of the first line, after "# "; axes: additional columns. Columns of ERRORS are
+    written only if a run has such errors. Raises StoreError."""
     rows = list(rows)
     measured = (name for name in ERRORS if any(row.get(name) is not None for row in rows))
     write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS), *measured), rows, about)

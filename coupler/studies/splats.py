@@ -1,4 +1,4 @@
-"""The bodies of a coating, and upright columns through them: heights, roughness and voids."""
+"""The bodies of a coating, and vertical columns through them, which give heights, roughness and voids."""
 
 from __future__ import annotations
 
@@ -92,7 +92,8 @@ class Columns:
         self.x, self.y = grid[self.inside].T
 
     def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
-        """Add to `count` +1 where a column enters and -1 where it leaves a closed surface with outward triangles."""
+        """Add to `count` +1 at each point where a column enters a closed surface with outward triangles, and -1 where it leaves
+        it."""
         h, aside = self.step, (0.5011, 0.5007)  # so that no column meets an edge, which two triangles share
         corners = points[faces][..., :2]
         low, high = (extreme(axis=(0, 1)) for extreme in (corners.min, corners.max))
@@ -109,8 +110,8 @@ class Columns:
         np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
 
     def highest(self, cells: NDArray) -> NDArray:
-        """Height (k,) m of the top of the highest marked cell in each column, `low` without one. cells (k, layers): mask. For `matter`
-        this is the surface, for `substrate` the interface."""
+        """Height (k,) m of the top of the highest marked cell in each column; `low` if no cell is marked. cells (k, layers): mask.
+        For the mask `matter` this is the surface of the coating, for `substrate` the interface."""
         last = self.layers - np.argmax(cells[:, ::-1], axis=1)
         return np.where(cells.any(axis=1), self.low + last * self.step, self.low)
 
@@ -136,8 +137,7 @@ class Columns:
 
 
 def roughness(z: NDArray) -> tuple[float, float]:
-    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean
-    height. The reference plane is parallel to the substrate; a plane fitted to a disc of a few splats would remove their largest
-    steps."""
+    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean height.
+    The reference plane is parallel to the substrate. A plane fitted to a disc with few splats would remove their largest steps."""
     away = z - z.mean()
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))

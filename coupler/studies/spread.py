@@ -21,7 +21,7 @@ FRICTIONS = (0.0, round(1.0 / math.sqrt(3.0), 3))
 
 
 def other_frictions(scene: Scene) -> dict[str, str]:
-    """Name, such as "friction 0" -> the scene (TOML) with this coefficient of FRICTIONS. Empty if the effects of the scene exclude
+    """The scenes (TOML) with each coefficient of FRICTIONS, by name, such as "friction 0". Empty if the effects of the scene exclude
     friction."""
     data = tomllib.loads(scene.to_toml())
     scenes = {
@@ -33,8 +33,8 @@ def other_frictions(scene: Scene) -> dict[str, str]:
 
 
 def other_sets(scene: Scene) -> dict[str, str]:
-    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this strength set for one of its metals. A metal whose law is given in
-    the scene has no other set."""
+    """The scenes (TOML) in which one metal has another strength set, by name, such as "Ni Steinberg_1996". A metal whose law is given
+    in the scene has no other set."""
     data = tomllib.loads(scene.to_toml())
     scenes = {}
     for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
@@ -53,8 +53,8 @@ def other_sets(scene: Scene) -> dict[str, str]:
 
 
 def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Log) -> dict[str, Result]:
-    """Run the scenes (name -> TOML) in a folder, `jobs` at the same time. Returns the results by name, without runs that fail or are
-    undecided."""
+    """Run scenes (TOML by name) in a folder, `jobs` at the same time. Returns the results by name. Runs that fail or are undecided
+    are left out."""
     found, _ = results(folder, {name.replace(" ", "_"): text for name, text in scenes.items()}, jobs, log)
     decided = {point: result for point, result in found.items() if result.undecided is None}
     return {name: decided[point] for name in scenes if (point := name.replace(" ", "_")) in decided}
@@ -68,7 +68,7 @@ SPREADS = {
 
 
 def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
-    """Text lines: each measure of a run with its least and greatest value in the other runs, and the verdicts of these."""
+    """Text lines: each measure of a run with its smallest and largest value in the other runs, and the verdicts of the other runs."""
     rows: list[tuple[str, ...]] = [("", "this run", "least", "most", "")]
     errors = errors_of(result.summary)
     for key in CONVERGING:

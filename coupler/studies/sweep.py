@@ -1,4 +1,4 @@
-"""A sweep: one scene with some keys varied, over a full grid, a list of points or a quasi-random ensemble."""
+"""A sweep: runs of one scene with some keys varied over a full grid, a list of points or a quasi-random ensemble."""
 
 import copy
 import itertools
@@ -45,7 +45,7 @@ class Sweep:
 
     @classmethod
     def load(cls, path: str | Path) -> "Sweep":
-        """Read a sweep's file (TOML, as workflows/map_ni.toml). Raises SceneError with every problem of it."""
+        """Read the file of a sweep (TOML, such as workflows/map_ni.toml). Raises SceneError with all its problems."""
         path = Path(path)
         try:
             data = read_toml(path)
@@ -55,12 +55,13 @@ class Sweep:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], source: str = "sweep") -> "Sweep":
-        """A sweep from nested dicts, as TOML gives them. Raises SceneError with every problem.
+        """Make a sweep from nested dicts, as TOML gives them. Raises SceneError with all problems.
 
         data["scene"]: the scene as a table, or the name of its file, relative to `source`. data["points"]: keys of the scene, such as
-        particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter, velocity
-        and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key
-        (`ensemble.distribution_of`). data["target"]: diameter and height over the diameter of the particle, for a scene without them.
+        particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter,
+        velocity and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key
+        (`ensemble.distribution_of`). data["target"]: diameter and height of the target divided by the diameter of the particle, for a
+        scene that gives no such sizes.
         """
         problems = [
             f"{key}: unknown key{nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in data if key not in _KEYS
@@ -106,8 +107,8 @@ class Sweep:
         return cls(str(name), scenes, refused, varied, is_ensemble)
 
     def run(self, out: str | Path | None = None, jobs: int = 1, pool: Executor | None = None) -> Path:
-        """Run the points as `run_points`. out: folder, runs/<name> by default. jobs: number of runs at the same time on this machine;
-        pool: an executor to use instead; it is shut down. Returns the folder."""
+        """Run the points as in `run_points`. out: folder, by default runs/<name>. jobs: number of simultaneous runs on this machine;
+        pool: an executor to use instead; it is shut down at the end. Returns the folder."""
         folder = Path(out) if out is not None else Path("runs") / self.name
         run_points(folder, self.points, jobs, refused=self.refused, pool=pool)
         return folder
@@ -161,7 +162,8 @@ def _base(scene: object, source: str, problems: list[str]) -> Table:
 
 
 def _ratios(target: object, problems: list[str]) -> dict[str, float]:
-    """Diameter and height of the target over the diameter of the particle: SUBSTRATE with the values of `target`."""
+    """Diameter and height of the target, each divided by the diameter of the particle: SUBSTRATE, changed by the values of
+    `target`."""
     ratios = dict(SUBSTRATE)
     for key, value in target.items() if isinstance(target, Mapping) else [("", None)]:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -174,7 +176,7 @@ def _ratios(target: object, problems: list[str]) -> dict[str, float]:
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """(dotted key of a scene, value) for each value in nested tables; a distribution counts as a value."""
+    """A list of (key with dots, value) for each value in nested tables. A distribution counts as one value."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
         if isinstance(value, Mapping) and not Distribution.is_table(value):
@@ -235,8 +237,8 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
 
 
 def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
-    """The scene of a point: the base with its settings, and a size of the target if it has none. Raises ValueError for a key that leads
-    nowhere."""
+    """The scene of a point: the base with the point's settings, and with a size of the target if the base has none. Raises ValueError
+    for a key that does not exist."""
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)

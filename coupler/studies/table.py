@@ -13,9 +13,9 @@ Row = dict[str, str]
 
 
 class StudyTable:
-    """The rows of a study in a CSV file, which is written again with each new row. columns: of the file; `version` follows them. key:
-    the columns that identify a row. about: lines above the header; the first gives the command that computes the table. Rows of a file
-    without versions get "unknown". Raises StoreError for a file with other columns."""
+    """The rows of a study in a CSV file, which is written again with each new row. columns: columns of the file; `version` follows
+    them. key: the columns that identify a row. about: lines above the header; the first gives the command that computes the table.
+    Rows of a file without versions get "unknown". Raises StoreError for a file with other columns."""
 
     def __init__(self, path: Path, columns: Sequence[str], key: Sequence[str], about: str):
         self.path, self.columns, self.key, self.about = path, (*columns, "version"), tuple(key), about
@@ -39,7 +39,7 @@ class StudyTable:
         return new
 
     def write(self) -> None:
-        """Write the file. Raises StoreError."""
+        """Write the table to its file. Raises StoreError."""
         write_rows(self.path, self.columns, self.rows, self.about)
 
     def _key_of(self, row: Row) -> tuple[str, ...]:
@@ -47,19 +47,19 @@ class StudyTable:
 
 
 def cell(value: object) -> str:
-    """Text of a value in a table: six digits of a float, empty for None."""
+    """The text of a value in a table: six digits for a float, empty for None."""
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def in_columns(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
-    """Rows of cells as aligned lines for a terminal. right: indices of the right-aligned columns."""
+    """The rows of cells as aligned lines for a terminal. right: indices of the right-aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     forms = [f"{{:{'>' if k in right else '<'}{width}}}" for k, width in enumerate(widths)]
     return ["  ".join(forms).format(*row).rstrip() for row in rows]
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a CSV file without the lines that begin with #. Raises StoreError if the file cannot be read."""
+    """The rows of a CSV file without lines that begin with #. Raises StoreError if the file cannot be read."""
     text = read_text(path)
     try:
         return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
@@ -68,7 +68,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]], about: str = "") -> None:
-    """Write a CSV file as a whole. about: lines above the header, each after "# ". Raises StoreError."""
+    """Write a complete CSV file. about: lines above the header, each after "# ". Raises StoreError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Speed of this machine from a small timed impact: the factor of `pace.Pace`."""
+"""Measurement of the speed of this machine with a small impact. The result is the factor of `pace.Pace`."""
 
 import itertools
 import math
@@ -32,14 +32,14 @@ time = "8 ns"
 
 
 def measure() -> float:
-    """The factor of this machine (`pace.Pace`): a small impact is timed in one thread. The factor is kept within FACTORS. Raises
-    SolverError if the timing run has fewer than FEWEST_CHUNKS groups of steps."""
+    """Measure the speed factor of this machine (`pace.Pace`): a small impact is timed in one thread. The factor is limited to
+    FACTORS. Raises SolverError if the timing run has fewer than FEWEST_CHUNKS chunks of steps."""
     low, high = FACTORS
     return min(max(min(_timed() for _ in range(REPEATS)), low), high)
 
 
 def _timed() -> float:
-    """Processor time of a step (median over chunks of steps) over the time from the constants of `plan.cost`."""
+    """Processor time of a step (median over chunks of steps), divided by the time from the constants of `plan.cost`."""
     marks: list[tuple[float, int]] = []
 
     def probe(impact: Any) -> None:

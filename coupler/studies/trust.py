@@ -1,4 +1,5 @@
-"""Trust in a number: green, amber or red, from comparisons with experiments on the same kind of metal at a similar velocity."""
+"""How far a number can be trusted: green, amber or red. The mark follows from experiments on the same kind of metal at a similar
+velocity."""
 
 import tomllib
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ RULE = (
 
 
 class Comparison(NamedTuple):
-    """A comparison with an experiment. kind: of metal; slowest, fastest: impact velocities, m/s; apart: computed minus measured value,
-    "no" if they agree within their errors."""
+    """A comparison with an experiment. kind: kind of metal; slowest, fastest: impact velocities, m/s; apart: computed minus measured
+    value as text, "no" if the two agree within their errors."""
 
     kind: str
     slowest: float
@@ -26,7 +27,7 @@ class Comparison(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """colour: one of MARKS; why: the comparisons that decide it, as text."""
+    """A trust mark. colour: one of MARKS; why: the comparisons that decide the colour, as text."""
 
     colour: str
     why: str
@@ -34,7 +35,8 @@ class Mark(NamedTuple):
 
 @cache
 def table() -> dict[str, Any]:
-    """The comparisons of docs/evidence/how_good.md: quantity -> case -> Comparison; and "kinds": kind -> its metals."""
+    """The comparisons of docs/evidence/how_good.md as a table: quantity -> case -> Comparison. The entry "kinds" gives the metals of
+    each kind."""
     raw = tomllib.loads((files(__package__) / "comparisons.toml").read_text(encoding="utf-8"))
     return {"kinds": raw.pop("kinds")} | {
         quantity: {case: Comparison(*row) for case, row in cases.items()} for quantity, cases in raw.items()
@@ -42,9 +44,9 @@ def table() -> dict[str, Any]:
 
 
 def mark(quantities: Sequence[str], metal: str, velocity: float, base: str = "") -> Mark:
-    """The mark of a number: the worst mark of the quantities that it depends on; red without quantities. metal: of the powder, in the
-    library; velocity: of impact, m/s; base: metal of the substrate. If it differs from `metal` green becomes amber, because no critical
-    velocity is measured for such pairs."""
+    """The trust mark of a number: the worst mark of the quantities on which it depends; red if there are none. metal: metal of the
+    powder in the library; velocity: impact velocity, m/s; base: metal of the substrate. If `base` differs from `metal`, green becomes
+    amber, because no critical velocity is measured for such pairs."""
     each = [_mark(quantity, metal, velocity) for quantity in quantities]
     if not each:
         return Mark(RED, "not compared with measurements")
