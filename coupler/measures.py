@@ -30,7 +30,7 @@ STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a
 VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
-VERDICT, BALANCE = "verdict", "balance, of the initial energy"
+VERDICT, BALANCE = "verdict", "energy and momentum balance"
 GROUPS = (VERDICT, SHAPE, PARTICLE, BALANCE, TARGET, RUN)  # in reading order
 
 # Ending of a key -> display unit, factor from SI; the first ending that matches counts
@@ -94,40 +94,41 @@ class Measure:
         return f"{self.label} is {value * self.factor:.4g}: {text}" if text else None
 
 
-_STRAIN = "the scheme cannot follow such a plastic strain"
+_STRAIN = "such a plastic strain is too large for the SPH scheme"
 TABLE = (
     Measure("time_s", "time", SHAPE),
     Measure(
-        "flattening_ratio", "flattening, above surface", SHAPE, "flattening above surface", converges=True, expected=(0.0, 1.0),
+        "flattening_ratio", "flattening above the surface", SHAPE, "flattening above"
+        " surface", converges=True, expected=(0.0, 1.0),
         unusual=(
-            "the top is higher above the surface than the particle's diameter, as of an upright rod or a particle that left",
+            "the top is higher than the particle's diameter, as of an upright rod or a particle that has left",
             "the top lies below the surface: the particle is embedded",
         ),
     ),
     Measure(
-        "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, high=1.0, beyond="no thickness is left",
+        "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, high=1.0, beyond="the thickness is zero",
         expected=(-SHAPE_TOLERANCE, 1.0),
-        unusual=("the splat reaches over more than the particle's diameter in height: it lines its crater, or is a rod", ""),
+        unusual=("the splat is thicker than the particle's diameter: it covers the wall of its crater, or is a rod", ""),
     ),
     Measure(
-        "surface_volume_error", "volume inside the surface, off that of the points", SHAPE, unit="%", factor=100.0,
-        low=-SURFACE_VOLUME_LIMIT, high=SURFACE_VOLUME_LIMIT, beyond="the surface no longer follows the points: take more points",
+        "surface_volume_error", "volume error of the surface, relative to the points", SHAPE, unit="%", factor=100.0,
+        low=-SURFACE_VOLUME_LIMIT, high=SURFACE_VOLUME_LIMIT, beyond="the surface does not follow the points: use more points",
     ),
     Measure("height_m", group=SHAPE),
     Measure("thickness_m", group=SHAPE, low=0.0),
     Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),
     Measure("splat_diameter_m", group=SHAPE, short="diameter", low=0.0, converges=True),
-    Measure("jet_length_m", "jet, beyond the splat", SHAPE, "jet", low=0.0, converges=False),
-    Measure("unresolved_share", "surface far from any point", SHAPE, unit="%", factor=100.0, low=0.0, high=1.0, converges=False),
+    Measure("jet_length_m", "jet length beyond the splat", SHAPE, "jet", low=0.0, converges=False),
+    Measure("unresolved_share", "surface far from all points", SHAPE, unit="%", factor=100.0, low=0.0, high=1.0, converges=False),
     Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
     Measure("verdict", group=VERDICT),
     Measure("verdict_criterion", "criterion", VERDICT),
     Measure("verdict_by", "decided by", VERDICT),
     Measure("verdict_rests_on", "rests on", VERDICT),
-    Measure("verdict_by_bonds", "by computed bonds alone", VERDICT),
-    Measure("verdict_is_close", "margin within the scatter of placements", VERDICT),
-    Measure("margin_m_s", "margin, as a velocity", VERDICT),
-    Measure("margin_J", "margin, as an energy", VERDICT),
+    Measure("verdict_by_bonds", "verdict of the computed bonds alone", VERDICT),
+    Measure("verdict_is_close", "margin below the scatter of placements", VERDICT),
+    Measure("margin_m_s", "margin (as velocity)", VERDICT),
+    Measure("margin_J", "margin (as energy)", VERDICT),
     Measure("rebounded", group=VERDICT),
     Measure("restitution", "rebound velocity / impact velocity", VERDICT, low=0.0),
     Measure(
@@ -136,11 +137,11 @@ TABLE = (
     ),
     Measure("bonded_area_m2", "area that bonded", VERDICT, low=0.0),
     Measure("bonded_area_end_m2", "bonded area at the end", VERDICT, low=0.0),
-    Measure("bond_energy_J", "energy to tear what bonded", VERDICT, low=0.0),
+    Measure("bond_energy_J", "energy to break all bonds", VERDICT, low=0.0),
     Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
-    Measure("contact_dropped", "points of the particle that the contact has dropped"),
-    Measure("contact_dropped_bodies", "nodes that contact between bodies has dropped so far"),
-    Measure("surface_level_m", "surface met at", SHAPE),
+    Measure("contact_dropped", "points of the particle that have lost their contact"),
+    Measure("contact_dropped_bodies", "nodes that have lost their contact between bodies so far"),
+    Measure("surface_level_m", "height of the surface at the first contact", SHAPE),
     Measure("material", "material of the particle", PARTICLE),
     Measure("diameter_m", "diameter before impact", PARTICLE, "diameter"),
     Measure("speed_m_s", "impact speed", PARTICLE, low=0.0),
@@ -167,11 +168,11 @@ TABLE = (
     Measure("element_size_m", "smallest elements"),
     Measure("spacing_m", "spacing of the points"),
     Measure("ranks", "processes"),
-    Measure("idle_share", "idle, by process", unit="%", factor=100.0),
+    Measure("idle_share", "waiting time of each process", unit="%", factor=100.0),
     Measure("memory_peak_bytes", "most memory", unit="MB", factor=1e-6),
     Measure("kinetic_energy_0_J", "kinetic energy at the start"),
     Measure("deposition_efficiency", low=0.0, high=1.0),
-    Measure("deposition_efficiency_range", "deposition efficiency, least and most"),
+    Measure("deposition_efficiency_range", "deposition efficiency, smallest and largest"),
     Measure("sim_time_s", "simulated time"),
     Measure("wall_s", "wall time", unit="s", factor=1.0),
     Measure("wall_loop_s", "wall time of the steps", unit="s", factor=1.0),

@@ -155,7 +155,7 @@ class Progress:
     def status(self, now: float) -> str:
         """The state as text. now: time.monotonic()."""
         kinetic, dt, step = self._state
-        text = f"{self._impact}{self.time * 1e9:.1f} ns  kinetic energy left {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
+        text = f"{self._impact}{self.time * 1e9:.1f} ns  remaining kinetic energy {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
         return f"{text}{_words(self.time_to_go(now))}"
 
     def time_to_go(self, now: float) -> float:
@@ -249,7 +249,7 @@ class Progress:
 
 def _words(left: float) -> str:
     """The remaining time as text; "" if it is unknown."""
-    return "" if math.isnan(left) else f"  about {left:.0f} s to go"
+    return "" if math.isnan(left) else f"  about {left:.0f} s remaining"
 
 
 def _bar(stream: TextIO) -> Bar:

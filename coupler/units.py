@@ -56,7 +56,7 @@ def parse(value: object, dimension: str) -> float:
         raise UnitError(f"needs {wanted}")
     match = _QUANTITY.fullmatch(value.translate(_MICRO_SIGNS)) if len(value) <= _LONGEST else None
     if match is None:
-        raise UnitError(f"is not a number and a unit: needs {wanted}")
+        raise UnitError(f"is not a number with a unit: needs {wanted}")
     number, unit = match.group(1), match.group(2)
     if unit is None:
         raise UnitError(f"has no unit: needs {wanted}")

@@ -58,7 +58,7 @@ def window(job: Job) -> Figure:
         "line": {"width": 0.5, "color": GREY},
         "colorbar": bar,
     }
-    cloud = charts.trace(spray.temperature, spray.velocity, "powder, 25 classes of equal mass") | {"mode": "markers"}
+    cloud = charts.trace(spray.temperature, spray.velocity, "powder: 25 classes of equal mass") | {"mode": "markers"}
     hover = "%{text} µm: %{y:.0f} m/s, %{x:.0f} K<extra></extra>"
     lines.append(cloud | {"marker": marks, "text": sizes, "hovertemplate": hover})
     return shell(lines, "temperature at impact (K)", "velocity (m/s)", f"window-{job.name}")

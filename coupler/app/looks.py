@@ -64,7 +64,7 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
             return found
         choice, seconds, then = choose(job, processor_time(here.factor), cores())
         lines = f"about {duration(seconds)} on {cores()} cores: {choice.words}"
-        more = f"{duration(then[1])} would buy: {then[0].words}" if then else ""
+        more = f"{duration(then[1])} would allow: {then[0].words}" if then else ""
         return Look((), lines, more, found.numbers, found.drawn, found.classes)
     except SceneError as error:
         return Look(error.problems)
@@ -79,7 +79,7 @@ def _gas(job: Job) -> Look:
         "temperature_K": spray.temperature, "critical_velocity_m_s": spray.critical,
     }  # fmt: skip
     lines = "; ".join(
-        [*job.flow.notes, *([f"assumed of the nozzle: {job.nozzle.assumed}"] if job.nozzle.assumed else [])]
+        [*job.flow.notes, *([f"assumed values of the nozzle: {job.nozzle.assumed}"] if job.nozzle.assumed else [])]
     )
     drawn = (figures.window(job), figures.flights(job))
     return Look((), lines, "", tuple(numbers(job, [], Coating({}, {}))), drawn, classes)

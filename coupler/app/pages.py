@@ -172,9 +172,9 @@ def _answer(seen: Look, name: str) -> None:
     if seen.classes:
         table = as_csv(seen.classes)
         save = ui.button("Save csv", icon="download", on_click=lambda: ui.download.content(table, "window.csv"))
-        save.props("flat dense").tooltip("a row for each class of the powder; a png: camera above the picture")
+        save.props("flat dense").tooltip("a row for each size class; to save a picture: the camera above it")
     if seen.more:
-        with ui.expansion("What would be computed (coldspray check)", value=not seen.drawn).classes("w-full"):
+        with ui.expansion("Plan of the computation (coldspray check)", value=not seen.drawn).classes("w-full"):
             ui.label(seen.more).classes("whitespace-pre overflow-x-auto font-mono text-xs w-full")
 
 
@@ -183,7 +183,7 @@ def _nozzles() -> None:
     lengths = ("throat", "exit", "inlet", "converging", "diverging", "barrel")
     known = [vars(nozzle) for nozzle in nozzles.library().values()]
     rows = [{**each, **{key: show(each[key], "mm") for key in lengths}} for each in known]
-    with ui.expansion("Nozzles, and what of them is assumed").classes("w-full border-t border-gray-400/40"):
+    with ui.expansion("Nozzles, with their assumed values").classes("w-full border-t border-gray-400/40"):
         _table(("name", *lengths, "assumed", "source"), rows)
 
 
@@ -262,7 +262,7 @@ def _run(workspace: Workspace, name: str) -> None:
         head(first)
         body(Now(first, ""))
         pictures(Now(first, ""))
-        tab = ui.link("Report in a tab of its own", "#", new_tab=True)
+        tab = ui.link("Open the report in a new tab", "#", new_tab=True)
         tab.set_visibility(False)
         report = ui.element("iframe").classes("w-full h-[85vh] border rounded bg-white")
         report.set_visibility(False)
@@ -315,7 +315,7 @@ def _runs(workspace: Workspace) -> None:
     async def delete() -> None:
         names = [row["name"] for row in table.selected]
         with ui.dialog() as dialog, ui.card():
-            ui.label(f"Delete {', '.join(names)} with all results? This cannot be undone.")
+            ui.label(f"Delete {', '.join(names)} and all its results? This cannot be undone.")
             with ui.row():
                 ui.button("Keep", on_click=lambda: dialog.submit(False)).props("flat")
                 ui.button("Delete", color="negative", on_click=lambda: dialog.submit(True))
@@ -327,7 +327,7 @@ def _runs(workspace: Workspace) -> None:
     with frame("/runs"):
         rows = workspace.rows()
         if not rows:
-            ui.label(f"No results in {workspace.runs} yet: Impact, Coating and Job compute them.")
+            ui.label(f"There are no results in {workspace.runs} yet. The pages Impact, Coating and Job compute them.")
         with ui.row().classes("items-center gap-2 w-full"):
             word = ui.input("filter").props("dense outlined clearable")
             ui.button("Compare", icon="compare", on_click=compare).props("flat")
@@ -384,10 +384,10 @@ def _metals(workspace: Workspace) -> None:
         curves = ui.plotly(figures.shell((), "", "", "")).classes("w-full h-[440px]")
         table = _table(("set", "metal", "law", "fitted", "source"), [])
         sources = ui.label().classes("text-sm opacity-80 whitespace-pre-wrap")
-        with ui.expansion("A table of your own", icon="upload").classes("w-full border-t border-gray-400/40"):
+        with ui.expansion("Your own table of metals", icon="upload").classes("w-full border-t border-gray-400/40"):
             ui.label(
-                "A .csv with a row for each metal becomes a .toml in the workspace. The name of that"
-                " file goes into the field library of a scene, the names of its metals into the fields material."
+                "A .csv with a row for each metal becomes a .toml in the workspace. Enter the name of that"
+                " file in the field library of a scene, and the names of its metals in the fields material."
             )
             upload = ui.upload(on_upload=own, auto_upload=True, max_file_size=UPLOAD, max_files=1)
             upload.props("accept=.csv flat bordered")
@@ -399,7 +399,7 @@ def _own_metals(workspace: Workspace, name: str, content: bytes) -> str:
     """Store an uploaded table of metals in the workspace if it can be read. Returns the text lines of the command `coldspray
     materials --import`. Raises ColdsprayError."""
     if not name.endswith(".csv"):
-        raise ColdsprayError(f"{name}: give a .csv, or copy a .toml into {workspace.root}")
+        raise ColdsprayError(f"{name}: upload a .csv file, or copy a .toml file into {workspace.root}")
     path = workspace.save(name.removesuffix(".csv"), content.decode("utf-8", "replace"), ".csv")
     try:
         return workspace.call("materials", "--import", path.name)

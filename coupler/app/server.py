@@ -80,13 +80,13 @@ def serve(workspace: Workspace, port: int, show: bool) -> None:
             probe.bind((HOST, port))
         except OSError as error:
             why = f"port {port} of this machine cannot be used ({error.strerror})"
-            raise ColdsprayError(f"{why}: name another with --port, or 0 for any free one") from None
+            raise ColdsprayError(f"{why}: give another port with --port, or --port 0 for any free port") from None
         port = probe.getsockname()[1]
     app.add_static_files("/files", workspace.runs, max_cache_age=0)
     app.add_middleware(Guard, token=token, cookie=f"coldspray-{port}")
     add_pages(workspace)
     print(f"coldspray on {workspace.root}: http://{HOST}:{port}/?token={token}", flush=True)
-    print("Ctrl-C ends the page, not its runs", flush=True)
+    print("Ctrl-C stops the page; its runs continue", flush=True)
     ui.run(
         host=HOST, port=port, title="coldspray", dark=None, reload=False, show=f"/?token={token}" if show else False,
         show_welcome_message=False, uvicorn_logging_level="warning", favicon="❄",

@@ -71,7 +71,7 @@ class Workspace:
         """Return the path of a results folder. name: its path below `runs`. Raises StoreError."""
         path = self.inside(f"runs/{name}")
         if self.runs not in path.resolve().parents:
-            raise StoreError(f"{name[:80]!r} is no folder of {self.runs}")
+            raise StoreError(f"there is no folder {name[:80]!r} in {self.runs}: choose a folder of the list")
         return path
 
     def address(self, path: Path) -> str:
@@ -116,7 +116,7 @@ class Workspace:
             try:
                 fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)  # held by the process, and by what it starts
             except BlockingIOError:
-                raise StoreError(f"{folder.name} is in the queue or running: stop it first") from None
+                raise StoreError(f"{folder.name} is already in the queue or running: stop it first") from None
             log.truncate(0)
             process = subprocess.Popen(
                 [sys.executable, "-m", "coupler.app.queued", str(self.runs / ".queue"), *words], cwd=self.root,
@@ -137,7 +137,7 @@ class Workspace:
     def go_on(self, folder: Path) -> None:
         """Put a stopped run, an undecided run or a job into the queue again. Raises StoreError for other folders."""
         if not _is_ours(folder):
-            raise StoreError(f"{folder.name} is no folder of a run or a job")
+            raise StoreError(f"{folder.name} is not the folder of a run or a job, and cannot be continued")
         scene = self.root / f"{folder.relative_to(self.runs)}.toml"
         if kind_of(folder) == JOB:
             kept = scene if scene.is_file() else folder / "job.toml"
@@ -168,7 +168,7 @@ class Workspace:
     def delete(self, folder: Path) -> None:
         """Delete a results folder. Raises StoreError for other folders, and for a folder with a process."""
         if alive(folder) or not _is_ours(folder):
-            raise StoreError(f"{folder.name} is running, a link, or no folder of a run: it is not deleted")
+            raise StoreError(f"{folder.name} cannot be deleted: it is running, a link, or not a run")
         shutil.rmtree(folder)
 
     def rows(self, below: Path | None = None) -> list[Row]:

@@ -36,23 +36,24 @@ def add(commands: Commands) -> None:
         type=int,
         nargs="+",
         metavar="N",
-        help="points of the particle (default: 500 1000 2000 3500 5000 16000)",
+        help="numbers of points of the particle (default: 500 1000 2000 3500 5000 16000)",
     )
-    add_jobs(option, "runs at the same time")
+    add_jobs(option, "number of simultaneous runs")
 
 
 def add_to_run(option: Option) -> None:
     """Add the options of `run` that choose the resolution."""
     option("--within", metavar="TIME", help='choose the finest resolution for this wall time: "60s", "5min", "1h"')
-    text = 'choose the coarsest resolution with this forecast error of the shape of the splat: "2%%"'
+    text = 'choose the coarsest resolution whose expected error of the splat shape is at most this: "2%%"'
     option("--accuracy", metavar="PERCENT", help=text)
     option("--spread", choices=("strength", "friction"),
-           help="also compute the scene with the other strength sets of its metals, or with least and greatest friction, and print"
+           help="also compute the scene with the other strength sets of its metals, or with the smallest and"
+           " largest friction, and print"
            " the range")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute a scene at several numbers of points, or continues such a study, and draw the result. Returns the exit code."""
+    """Compute a scene at several numbers of points, or continue such a study, and draw the result. Returns the exit code."""
     from ..studies import accuracy
     from ..studies.table import write_rows
 
@@ -75,7 +76,7 @@ def here(recalibrate: bool = False) -> "Pace":
     def measure() -> float:
         from ..studies.timing import measure
 
-        with working("timing a small impact, once for this machine"):
+        with working("measuring the speed of this machine with a small impact (only once)"):
             return measure()
 
     return pace.of_this_machine(measure, recalibrate)
@@ -119,19 +120,20 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
             raise AccuracyError(
-                f"--accuracy {accuracy} cannot be reached: the error of the shape at {MOST} points, the most allowed, is about"
-                f" {least:.2g} %; give that or more (docs/evidence/accuracy.md)"
+                f"--accuracy {accuracy} cannot be reached: the error of the shape with {MOST} points, the"
+                f" largest allowed number, is about"
+                f" {least:.2g} %; give a percentage of at least this value (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:
             raise AccuracyError(
-                f"--accuracy {accuracy} needs {points} points and about {duration(needed)} on this machine, more than --within"
+                f"--accuracy {accuracy} needs {points} points and about {duration(needed)} on this machine, which exceeds --within"
                 f" {within}: increase --within or --accuracy"
             )
     else:
         if (needed := takes(coarsest)) > limit:
             raise AccuracyError(
-                f"--within {within} is too short: at {coarsest} points, the fewest allowed, this scene takes about"
+                f"--within {within} is too short: with {coarsest} points, the smallest allowed number, this scene takes about"
                 f" {duration(needed)} on this machine; increase --within, or reduce [end] time"
             )
         low, high = coarsest, max(MOST, coarsest)
@@ -142,6 +144,6 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     resolved = at_points(scene, points)
     forecast = refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))
     text = f"resolution chosen: {points} points" + (f", about {duration(takes(points))} here" if pace else "")
-    text += f"; shape within {100.0 * max(forecast[key] for key in SHAPE):.2g} %, a forecast"
+    text += f"; shape within {100.0 * max(forecast[key] for key in SHAPE):.2g} % (expected)"
     given = [f"resolution.{key}" for key in ("spacing", "element_size") if dict(scene.resolution)[key] is not None]
-    return resolved, text + (f"; in place of {' and '.join(given)} of the scene" if given else "")
+    return resolved, text + (f"; this replaces {' and '.join(given)} in the scene" if given else "")

@@ -10,11 +10,11 @@ from .arguments import Commands, add_command, path
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "app", run, "forms, runs and results as a page in the browser of this machine")
+    option = add_command(commands, "app", run, "open a local web page with forms, runs and results")
     option("folder", type=path, nargs="?", default=Path(), metavar="DIR",
-           help="the workspace: scenes in it, results in DIR/runs (default: this folder)")  # fmt: skip
-    option("--port", type=_port, default=8501, metavar="N", help="of this machine; 0: any free one (default: 8501)")
-    option("--no-browser", action="store_true", help="print the address only")
+           help="folder of the scenes; results are in DIR/runs (default: this folder)")  # fmt: skip
+    option("--port", type=_port, default=8501, metavar="N", help="port number; 0: any free port (default: 8501)")
+    option("--no-browser", action="store_true", help="print the address without opening a browser")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -32,5 +32,5 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port: give a whole number from 0 to 65535")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port number: give a whole number from 0 to 65535")
     return int(text)

@@ -24,7 +24,7 @@ Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a comman
 def path(text: str) -> Path:
     """Option type: a path. An empty text is refused, because it would mean the current folder."""
     if not text.strip() or "\0" in text:
-        raise argparse.ArgumentTypeError("the name is empty or has a null character; give '.' for the current folder")
+        raise argparse.ArgumentTypeError("the path is empty or has a null character; give '.' for the current folder")
     return Path(text)
 
 
@@ -33,7 +33,7 @@ def seconds(text: str) -> float:
     with contextlib.suppress(ValueError):
         if 0.0 < (value := float(text)) < math.inf:
             return value
-    raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above zero")
+    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds: give a number such as 5")
 
 
 def quantity(
@@ -51,9 +51,9 @@ def quantity(
         except UnitError as error:
             raise ColdsprayError(f"{option} {text}: {error}") from None
         if positive and not value > 0.0:
-            raise ColdsprayError(f"{option} {text}: must be more than zero")
+            raise ColdsprayError(f"{option} {text}: the value must be above zero")
         if limits is not None and not parse(limits[0], dimension) <= value <= parse(limits[1], dimension):
-            raise ColdsprayError(f"{option} {text}: is outside {limits[0]} to {limits[1]}")
+            raise ColdsprayError(f"{option} {text}: the value must be between {limits[0]} and {limits[1]}")
         return value
 
     return read
@@ -71,9 +71,9 @@ def add_scene(option: Option) -> None:
     """Add the argument and the options of a command that reads a scene; `scene_of` evaluates them."""
     option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
     option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
-           help="set a key of the scene, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
+           help="change a key of the scene (may be repeated): particle.velocity='600 m/s', contact.friction=0.3,"
            " 'particle[2].material=Ti'; KEY= removes the key")  # fmt: skip
-    text = "draft, standard or fine; replaces preset, spacing and element_size of the scene"
+    text = "draft, standard or fine: replaces preset, spacing and element_size of the scene"
     option("--preset", metavar="NAME", help=text)
 
 
@@ -113,9 +113,9 @@ def _setting(text: str) -> tuple[str, str | None]:
 def at_least_one(text: str, most: int | None = None) -> int:
     """Make the option type for a whole number from one to `most`."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     if most is not None and int(text) > most:
-        raise argparse.ArgumentTypeError(f"{text} is too many: {most} at most")
+        raise argparse.ArgumentTypeError(f"{text} is too large: the largest allowed number is {most}")
     return int(text)
 
 
@@ -136,9 +136,7 @@ def share(text: str, option: str) -> float:
     text."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        raise StoreError(
-            f'{option} {text!r} is not an uncertainty: give a percentage above 0 and up to 100, such as "2%"'
-        )
+        raise StoreError(f'{option} {text!r} is not valid: give a percentage above 0 and up to 100, such as "2%"')
     return float(match.group(1)) / 100.0
 
 
@@ -155,7 +153,7 @@ def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names
         out.mkdir(parents=True, exist_ok=True)
         kept.write_text(text, encoding="utf-8")
     elif read_toml(kept) != parse_toml(text):
-        raise StoreError(f"{out} holds the study of another scene: name another folder with --out, or remove it")
+        raise StoreError(f"{out} holds the study of another scene: choose another folder with --out, or remove it")
     return out
 
 
@@ -196,7 +194,7 @@ def continuing(out: Path, say: Callable[[str], None]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        say(f"stopped; the same command continues in {out}")
+        say(f"stopped; the same command continues the computation in {out}")
         raise
 
 

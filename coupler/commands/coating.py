@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "measure a coating: thickness, roughness, porosity, stress over depth"
+    text = "measure a coating: thickness, roughness, porosity, stress along the depth"
     option = options.add_command(commands, "coating", run, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run of several impacts, finished or not")
-    option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/coating)")
+    option("--out", type=options.path, metavar="DIR", help="folder for the output files (default: DIR/coating)")
     option("--window", type=options.quantity("--window", "length"), metavar="L",
-           help='radius of the measured disc, such as "20 um" (default: 0.6 of the radius of the patch)')  # fmt: skip
+           help='radius of the measured disc, such as "20 um" (default: 0.6 times the radius of the coated area)')  # fmt: skip
     option("--section", type=options.quantity("--section", "length", positive=False), metavar="L",
            help="y of the cross-section (default: the plane that cuts the most particles)")  # fmt: skip
     option("--seeds", type=options.at_least_one, default=0, metavar="N",
            help="first compute the coating with N other seeds, for the error of each measure (default: none)")  # fmt: skip
-    options.add_jobs(option, "runs at the same time")
+    options.add_jobs(option, "number of simultaneous runs")
     options.add_force(option)
 
 
@@ -47,9 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
         splats = coating.read(result)
         measures = coating_seeds.measured(result, splats, arguments.window)
         coating_files.write_measures(folder, measures)
-        progress.stage("measuring how it has grown")
+        progress.stage("measuring the growth of the coating")
         coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))
-        progress.stage("drawing and writing meshes")
+        progress.stage("drawing pictures and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.DISC
         plane = stage(result).plane if arguments.section is None else arguments.section
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks about fields
             meshes = coating_files.write_meshes(splats, folder)
     print("\n".join(describe(measures)))
-    print(f"{', '.join(coating_files.NAMES[:-1])} and {len(meshes) - 1} surfaces in {folder}")
+    print(f"{', '.join(coating_files.NAMES[:-1])} and {len(meshes) - 1} surfaces of splats are in {folder}")
     return 0
 
 

@@ -31,14 +31,14 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
     try:
         tables, lines = _read(read_text(table), str(table))
     except csv.Error as error:
-        raise SceneError([f"is not a csv table: {error}"], str(table)) from None
+        raise SceneError([f"the file is not a CSV table: {error}"], str(table)) from None
     key = f"library = {json.dumps(out.name)}"
-    text = f"# {MARK} materials --import {table.name}\n# to use it, write before the first table of a scene: {key}\n"
+    text = f"# {MARK} materials --import {table.name}\n# to use this library, write before the first table of a scene: {key}\n"
     for name, values in tables.items():
         text += f"\n[materials.{json.dumps(name)}]\n"
         text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
     write_text(out, text)
-    return [*lines, f"written to {out}; to use it, write before the first table of a scene: {key}"]
+    return [*lines, f"written to {out}; to use this library, write before the first table of a scene: {key}"]
 
 
 def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[str]]:
@@ -50,7 +50,7 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
     reader = csv.DictReader(io.StringIO(text), delimiter=separator)
     columns = {title: match.groups() for title in reader.fieldnames or () if (match := _HEAD.match(title.strip()))}
     if lacks := [name for name in COLUMNS if name not in {name for name, _ in columns.values()}]:
-        raise SceneError([f"row 1: it lacks the columns {', '.join(lacks)}; needed: {', '.join(COLUMNS)}"], file)
+        raise SceneError([f"row 1: the columns {', '.join(lacks)} are missing; needed: {', '.join(COLUMNS)}"], file)
     known = {title: head for title, head in columns.items() if _OTHER_NAMES.get(head[0], head[0]) in {*UNITS, *_TEXTS}}
     lines = [f"column left out: {title}" for title in columns if title not in known]
     tables: dict[str, Mapping[str, object]] = {}
@@ -59,13 +59,13 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
         cells = {name: (cell, unit) for title, (name, unit) in known.items() if (cell := (row[title] or "").strip())}
         if not cells:
             continue
-        found = [f"{name} is empty" for name in COLUMNS if name not in cells]
+        found = [f"{name} is empty: give a value" for name in COLUMNS if name not in cells]
         if None in row:
             found = [f"{COLUMNS[-1]} is followed by more cells: with decimal commas, separate the cells by semicolons"]
         values = {_OTHER_NAMES.get(name, name): _value(name, *cell, separator == ";") for name, cell in cells.items()}
         name = str(values.pop("name", "")).replace(" ", "_")
         if name in tables:
-            found.append("name is also in another row: give each metal another name")
+            found.append("name is already used in another row: give each metal its own name")
         if not found:
             values, remark = _with_heat(name, _USUAL | values)
             catalogue, texts = from_scene({name: values})
@@ -79,7 +79,7 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             column = next((title for title, other in _OTHER_NAMES.items() if other == key), key)
             problems.append(f"row {reader.line_num} ({name[:40]}), column {column}: {problem}")
     if problems or not tables:
-        raise SceneError(problems or ["has no rows: give a row for each metal"], file)
+        raise SceneError(problems or ["the table has no rows: give a row for each metal"], file)
     return tables, lines
 
 

@@ -19,19 +19,21 @@ _MOST_PLACEMENTS = 100
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "compute the critical velocity: the least at which a particle with cohesive bonds sticks"
+    text = "compute the critical velocity: the lowest velocity at which a particle with cohesive bonds sticks"
     option = options.add_study(commands, "critical", run, text)
-    option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
+    option(
+        "--within", default="5%", metavar="PERCENT", help='width of the bracket relative to its middle (default: "5%%")'
+    )
     for name, text in (("low", "lowest"), ("high", "highest")):
         option(f"--{name}", type=quantity(f"--{name}", "velocity", limits=_LIMITS), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
     option("--repeat", type=partial(options.at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
-           help="placements at each velocity: other positions of points and elements (default: 3)")  # fmt: skip
-    options.add_jobs(option, "runs at the same time")
+           help="number of placements (runs with other positions of points and elements) at each velocity (default: 3)")  # fmt: skip
+    options.add_jobs(option, "number of simultaneous runs")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search the critical velocity of a scene, or continues the search, and draw the result. Returns the exit code."""
+    """Search the critical velocity of a scene, or continue the search, and draw the result. Returns the exit code."""
     from ..errors import StoreError
     from ..plan.planning import plan
     from ..plan.refinement import at_points, companions
@@ -55,15 +57,15 @@ def run(arguments: argparse.Namespace) -> int:
     with continuing(out, say):
         bracket, rows = search(scene, out)
         for points in companions(scene) if scene.resolution.error and bracket.velocity else ():
-            say(f"the error of the resolution: the same search with {points} points")
+            say(f"measuring the error of the resolution: the same search with {points} points")
             coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
     error = critical.resolution_error(scene, bracket, coarser)
     draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)
     if bracket.velocity is None and (slowest := critical.slowest_rebound(rows)) is not None:
-        print(f"nearest to sticking: {slowest}")
+        print(f"slowest rebound: {slowest}")
     if arguments.repeat == 1:
-        print("one placement at each velocity: the band does not include the scatter of verdicts (--repeat 3)")
+        print("one placement at each velocity: the band does not include the scatter of verdicts (use --repeat 3)")
     print(resolution := critical.resolution_words(scene, bracket, coarser))
     if coarser:
         write_rows(out / critical.TABLE, critical.COLUMNS, rows, f"{about}\n{bracket.words}\n{resolution}")

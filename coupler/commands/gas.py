@@ -23,7 +23,7 @@ def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "gas", run, "impact velocity and temperature from gas, nozzle and particle diameter")
     add_conditions(option)
-    option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
+    option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='particle diameters, such as "25 um" "22 um"')
     option("--csv", type=path, metavar="FILE", help="also write the table to a file")
     option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
     add_force(option)
@@ -31,24 +31,22 @@ def add(commands: Commands) -> None:
 
 def add_conditions(option: Option) -> None:
     """Add the options for gas, nozzle and material; `setup` evaluates them."""
-    option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
+    option("--gas", dest="kind", default="N2", help="name of the gas: N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
     option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --library FILE")
     add_library(option)
     option("--material", metavar="NAME", default="Ni", help="metal of the particle (default: Ni)")
-    option("--standoff", metavar="L", default="30 mm", help="distance of nozzle and target (default: 30 mm)")
+    option("--standoff", metavar="L", default="30 mm", help="distance between nozzle and target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
-    option(
-        "--powder-temperature", metavar="T", default="20 degC", help="of the powder in the feeder (default: 20 degC)"
-    )
-    option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
+    option("--powder-temperature", metavar="T", default="20 degC", help="powder in the feeder (default: 20 degC)")
+    option("--drag", default="henderson", metavar="LAW", help="drag law: henderson (default) or carlson-hoglund")
     option("--bow-shock", action="store_true", help="include a normal shock before the target")
 
 
 def add_library(option: Option) -> None:
     """Add the option --library; `own_tables` evaluates it."""
-    option("--library", type=path, metavar="FILE", help="file with your own metals and nozzles, or a scene with some")
+    option("--library", type=path, metavar="FILE", help="file (or scene) with your own metals and nozzles")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -167,7 +165,7 @@ def _table(flow: "Flow", material: "Material", diameters: list[float], flights: 
             f"  {flight.temperature:>10.0f} K  {flight.t[-1] * 1e3:>7.2f} ms"
         )
     notes = melting(material, diameters, [float(f.T.max()) for f in flights], [f.temperature for f in flights])
-    notes += [*flow.notes, *([f"assumed of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
+    notes += [*flow.notes, *([f"assumed values of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
     wrapped = [textwrap.fill(note, 110, initial_indent="  note: ", subsequent_indent=" " * 8) for note in notes]
     return [*lines, "", *wrapped] if notes else lines
 

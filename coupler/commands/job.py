@@ -10,7 +10,7 @@ from .arguments import Commands, add_command, add_jobs, add_quiet, continuing, j
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(
-        commands, "job", run, "tell on one page whether a powder sticks to a substrate, computed in a given time"
+        commands, "job", run, "compute, in a given time, one page that says whether a powder sticks to a substrate"
     )
     option("job", type=path, metavar="FILE", help="file of a job (TOML); coldspray new job NAME writes one")
     option("--out", type=path, metavar="DIR", help="folder of the runs and of the page (default: runs/job-<name>)")
@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute a job, or continues it. Returns the exit code. Raises ColdsprayError for an error of the user."""
+    """Compute a job, or continue an unfinished one. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..files.inputs import read_text
     from ..plan.job import processor_time, read
     from ..studies import job as study

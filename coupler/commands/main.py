@@ -56,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     for word in words:
         if re.search("[\udc80-\udcff]", word):  # bytes that are not UTF-8
-            return _fail(f"the name {word!a} is not in UTF-8: rename it", 2)
+            return _fail(f"the file name {word!a} is not in UTF-8: rename the file", 2)
     try:
         parser = _parser()
         if not words:
@@ -126,7 +126,7 @@ def missing_library(error: Exception) -> str | None:
     """The message, with a remedy, for a missing package or shared library; None for other errors."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         extra = _EXTRAS.get(error.name.split(".")[0])
-        remedy = f"pip install coldspray[{extra}]" if extra else "set the environment up again with `make setup`"
+        remedy = f"pip install coldspray[{extra}]" if extra else "repeat the installation with `make setup`"
         return f"the Python package {error.name} is missing: {remedy}"
     match = re.match(r"((?:lib)?(\S+)\.so[.]?([.\d]*)): cannot open shared object file", str(error))
     if match is None:
@@ -135,48 +135,48 @@ def missing_library(error: Exception) -> str | None:
     if name in _SYSTEM:  # Debian's names: libxft2, libx11-6
         package = f"lib{name.lower()}{'-' if name[-1].isdigit() else ''}{version}{'-mesa' if name == 'GLU' else ''}"
         return f"the system library {library} is missing: apt-get install {package}"
-    return f"the library {library} is missing: set the environment up again with `make setup`"
+    return f"the library {library} is missing: repeat the installation with `make setup`"
 
 
 def _parser() -> argparse.ArgumentParser:
-    about = "Cold spray impacts: SPH particle, FE target."
+    about = "Simulate cold spray: particles by SPH, target by finite elements."
     parser: argparse.ArgumentParser = _Parser(prog="coldspray", description=about)
     text = "print the version and exit"
     parser.add_argument("--version", action="version", version=f"coldspray {__version__}", help=text)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    text = "print the plan of a scene and its cost, without a run"
+    text = "print the plan and the cost of a scene without computing it"
     option = options.add_command(commands, "check", _check, text)
     options.add_scene(option)
-    options.add_verbose(option, "the number that decides each effect, and the change without the effect")
+    options.add_verbose(option, "print for each effect the number that decides it, and the change without the effect")
     option("--recalibrate", action="store_true", help="measure the speed of this machine again")
     option = options.add_command(commands, "run", _run, "compute a scene")
     options.add_scene(option)
     option("--out", type=options.path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
-    option("--force", action="store_true", help="replace a finished run, or files of the same names")
+    option("--force", action="store_true", help="replace a finished run, or other files with the same names")
     accuracy.add_to_run(option)
     _add_running(option)
-    option = options.add_command(commands, "report", _report, "write a run as one HTML page")
+    option = options.add_command(commands, "report", _report, "write the results of a run as one HTML page")
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
-    option("--out", type=options.path, metavar="FILE", help="the page (default: DIR/report.html)")
+    option("--out", type=options.path, metavar="FILE", help="file of the page (default: DIR/report.html)")
     options.add_force(option)
     option = options.add_command(
-        commands, "animate", _animate, "write a film of the cross-section of particle and target"
+        commands, "animate", _animate, "write an animation of the cross-section through particle and target"
     )
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     text = "an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
     option("--out", type=options.path, metavar="FILE", help=text)
-    option("--field", default="T", help="T, eps_p or von_mises (default: T)")
-    option("--fps", type=float, metavar="N", help="pictures in a second (default: for a film of 4 seconds)")
+    option("--field", default="T", help="field to draw: T, eps_p or von_mises (default: T)")
+    option("--fps", type=float, metavar="N", help="pictures per second (default: for an animation of 4 seconds)")
     options.add_force(option)
     text = "write the fields as .vtu and .pvd files, for tools that do not read time steps of VTKHDF"
     option = options.add_command(commands, "export", _export, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run, finished or not")
     option("--out", type=options.path, metavar="DIR", help="folder of the files (default: DIR/pvd)")
     options.add_force(option)
-    option = options.add_command(commands, "compare", _compare, "print runs side by side and draw them")
+    option = options.add_command(commands, "compare", _compare, "compare several runs in a table and a picture")
     option("runs", type=options.path, nargs="+", metavar="DIR", help="folders of runs, two or more")
     option("--out", type=options.path, default=Path("comparison.png"), metavar="FILE",
-           help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
+           help="file of the comparison, .png or .html (default: comparison.png)")  # fmt: skip
     options.add_force(option)
     text = "continue a run that is unfinished or undecided"
     option = options.add_command(commands, "resume", _resume, text)
@@ -196,14 +196,14 @@ def _parser() -> argparse.ArgumentParser:
 def _add_running(option: Option) -> None:
     """Add the options that `run` and `resume` share."""
     options.add_quiet(option)
-    options.add_verbose(option, "all measures at the end, not only those that converge")
+    options.add_verbose(option, "print all measures, not only those that converge with the resolution")
     option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
-    options.add_jobs(option, "impacts of a batch at the same time, which share the threads; `check` prints the batches")
+    options.add_jobs(option, "simultaneous impacts in a batch, which share the threads; `check` prints the batches")
     option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
-    option("--skip-failed", action="store_true", help="leave out an impact that fails, if there are several")
-    option("--no-error", action="store_true", help="do not measure the error: compute no coarser runs")
+    option("--skip-failed", action="store_true", help="in a scene with several impacts, leave out an impact that fails")
+    option("--no-error", action="store_true", help="compute no coarser runs, so that the error is not measured")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -215,7 +215,7 @@ class _Parser(argparse.ArgumentParser):
         choice = r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)"
         if unknown := re.fullmatch(choice, message, re.DOTALL):
             hint = nearest(unknown[1], re.findall(r"[\w-]+", unknown[2]))
-            self.exit(2, f"coldspray: there is no command {unknown[1]!r}{hint}; coldspray --help lists all\n")
+            self.exit(2, f"coldspray: there is no command {unknown[1]!r}{hint}; coldspray --help lists all commands\n")
         super().error(message)
 
 
@@ -258,7 +258,9 @@ def _resume(arguments: argparse.Namespace) -> int:
     if arguments.until is None and (result := Result(arguments.folder)).at_own_end:
         resume(arguments.folder, quiet=True)  # completes missing files
         if is_first_rank():
-            at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), and its verdict is undecided"
+            at = (
+                f"the run has met its end criterion ({result.end['time_s'] * 1e9:.4g} ns), and its verdict is undecided"
+            )
             print(f"{at}; {_FURTHER.format(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
         return 0
     more = {"until": arguments.until, "skip_failed": arguments.skip_failed, "error": not arguments.no_error}
@@ -316,9 +318,9 @@ def _animate(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     out = arguments.out or arguments.run / f"{arguments.field}{SUFFIXES[ffmpeg() is None]}"
     claim_file(out, SUFFIXES, [arguments.run], arguments.force)
-    with reading(arguments.run), options.working("cutting the bodies at each step") as progress:
+    with reading(arguments.run), options.working("computing the cross-section at each step") as progress:
         film = animate(result, out, arguments.field, arguments.fps, progress.stage)
-    print(f"film in {film}")
+    print(f"animation in {film}")
     return 0
 
 
@@ -369,7 +371,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
     go_on = f"; continue with coldspray resume {out}" if saved else ""
     if progress.time != progress.time:  # nan: no step, or a rank without the time
-        return ("stopped" if saved else "stopped before the first step") + go_on
+        return ("stopped" if saved else "stopped before the first time step") + go_on
     return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
 
 

@@ -17,7 +17,7 @@ DRAWN = QUANTITIES[:4]
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "map", run, "draw maps of a sweep, or of any folder of runs")
+    option = add_command(commands, "map", run, "draw maps of the results of a sweep, or of any folder with runs")
     text = "folder of a sweep, finished or not, or any folder with folders of runs"
     option("folder", type=path, metavar="DIR", help=text)
     option("--show", nargs="+", choices=QUANTITIES, default=DRAWN, metavar="QUANTITY",
@@ -26,9 +26,9 @@ def add(commands: Commands) -> None:
            help="keys of the scene, such as particle.velocity contact.friction (default: those of velocity, diameter and"
            " temperature that vary)")  # fmt: skip
     option("--refine", type=int, default=0, metavar="N",
-           help="first compute N new points where the first quantity is least certain, one after another")  # fmt: skip
+           help="first compute N new points, one after another, where the first quantity is least certain")  # fmt: skip
     add_force(option)
-    option("--out", type=path, metavar="DIR", help="folder of map.csv and pictures (default: the folder of the runs)")
+    option("--out", type=path, metavar="DIR", help="folder for map.csv and pictures (default: the folder of the runs)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,12 +40,12 @@ def run(arguments: argparse.Namespace) -> int:
     if kind_of(arguments.folder) == "run":
         raise StoreError(f"{arguments.folder} is the folder of a single run: give a folder that holds several runs")
     if arguments.refine < 0:
-        raise StoreError(f"--refine {arguments.refine}: give the number of points to run, zero or more")
+        raise StoreError(f"--refine {arguments.refine}: give the number of points to compute, zero or more")
     rows, axes = _table(arguments)
     for number in range(arguments.refine):
         point, _, _ = maps.best_point(rows, arguments.show[0], axes)
         if not point.at:
-            print(f"no point to run: {point.why}")
+            print(f"there is no new point to compute: {point.why}")
             break
         print(f"running {number + 1} of {arguments.refine}: {point.words}", flush=True)
         maps.run_next(arguments.folder, rows, point.at)

@@ -15,10 +15,10 @@ _STATES = ((0.2, 1e3, 300.0), (0.2, 1e7, 300.0), (0.2, 1e7, 600.0))  # plastic s
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "materials", run, "metals of the library, their strength sets and sources")
-    option("name", nargs="?", metavar="NAME", help="show one metal (default: list all)")
+    option = add_command(commands, "materials", run, "show metals of the library, their strength sets and sources")
+    option("name", nargs="?", metavar="NAME", help="name of the metal to show (default: list all metals)")
     option("--import", type=path, dest="table", metavar="FILE",
-           help=f"write a library for scenes from a csv table with the columns {', '.join(COLUMNS)}")  # fmt: skip
+           help=f"convert a CSV table to a library of metals for scenes; the table needs the columns {', '.join(COLUMNS)}")  # fmt: skip
     option("--out", type=path, metavar="FILE", help="file of the library (default: name of the table with .toml)")
     add_force(option)
 
@@ -53,7 +53,7 @@ def _listed(entries: "list[Entry]") -> list[str]:
         *textwrap.wrap(f"Other names: {others}.", 118),
         "The symbol and the name of an element mean one metal of the list: Al is the alloy 6061-T6, Al1100 nearly pure aluminium.",
         'The first set is the default; [materials.NAME] in a scene selects another: strength = "Preston_2003", or a law.',
-        "coldspray materials NAME: numbers, sources and flow stresses of a metal",
+        "coldspray materials NAME: shows constants, sources and flow stresses of a metal",
     ]
 
 
@@ -71,7 +71,7 @@ def _explained(known: "Entry") -> list[str]:
         ("k", show(metal.k, "W/(m K)")),
         ("expansion", show(metal.thermal_expansion, "1/K") if metal.thermal_expansion_at(300.0) else "not known"),
         ("heat", f"{metal.taylor_quinney:g} of the plastic work"),
-        ("tensile", f"{metal.sigma_TS / 1e6:g} MPa" if metal.sigma_TS else "strength not known: no critical velocity"),
+        ("tensile", f"{metal.sigma_TS / 1e6:g} MPa" if metal.sigma_TS else "not known: no critical velocity"),
     ):
         lines.append(f"  {name:10} {text}")
     lines += _wrapped("source", metal.source) + _wrapped("note", metal.note)
@@ -102,7 +102,7 @@ def _set(metal: "Material") -> list[str]:
 def _value(pairs: tuple[tuple[float, float], ...], unit: str) -> str:
     if len(pairs) == 1:
         return f"{pairs[0][1]:g} {unit}"
-    return ", ".join(f"{value:g} {unit} at {T:g} K" for T, value in pairs) + ", linear between"
+    return ", ".join(f"{value:g} {unit} at {T:g} K" for T, value in pairs) + ", linear between these temperatures"
 
 
 def _wrapped(name: str, text: str) -> list[str]:

@@ -28,21 +28,21 @@ _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "mesh", run, "turn points into tetrahedra: of a run, or of any file of points")
-    text = "folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
+    option = add_command(commands, "mesh", run, "convert points, from a run or from a file, to a mesh of tetrahedra")
+    text = "folder of a run, or a file of points: .csv, .xyz, .npz, or any format of meshio"
     option("cloud", type=path, metavar="CLOUD", help=text)
     option("--out", type=path, metavar="FILE", help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)")
     add_force(option)
-    option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
+    option("--method", choices=METHODS, default="auto", help="source of the surface (default: auto)")
     for name, form, default, text in (
         ("--size", "{}", None, f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),
-        ("--spacing", "{}", None, "of the points before they were deformed (default: the run's, or estimated)"),
-        ("--unit", "1 {}", None, "of the coordinates in a file: mm, um, nm, m (default: as its columns say, or m)"),
+        ("--spacing", "{}", None, "spacing of the undeformed points (default: that of the run, or an estimate)"),
+        ("--unit", "1 {}", None, "unit of the coordinates: mm, um, nm, m (default: from the column headings, or m)"),
     ):
         option(name, type=quantity(name, "length", form=form), metavar="L", default=default, help=text)
-    text = "of a text, in their order, such as 'x y z T'; - leaves one out (default: sensed)"
+    text = "names of the columns of a text file in their order, such as 'x y z T'; - leaves a column out (default: detected)"
     option("--columns", metavar="NAMES", help=text)
-    option("--step", type=int, metavar="N", default=-1, help="step of a run (default: the last)")
+    option("--step", type=int, metavar="N", default=-1, help="stored step of the run (default: the last)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -95,7 +95,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         whole = result.fields(int(skin[-1]), "surface")
         surface = whole.points, whole.cells
     else:
-        notes.append("no surface was stored at this step: the shape is that of the points")
+        notes.append("no surface is stored at this step: the shape follows from the points")
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
         fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
@@ -138,9 +138,9 @@ def of_file(
         values = np.asarray(values)
         values = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
         if known is None or values.shape != (len(x), *shapes[known]):
-            notes.append(f"field {name!r} left out: not one of {', '.join(shapes)}, or of another shape")
+            notes.append(f"field {name!r} is left out: it is not one of {', '.join(shapes)}, or has another shape")
         elif (in_si := _in_si(known, values.astype(float), points.units.get(name, ""))) is None:
-            notes.append(f"field {name!r} left out: its unit {points.units[name]!r} is not understood")
+            notes.append(f"field {name!r} is left out: its unit {points.units[name]!r} is unknown")
         else:
             fields[known] = in_si
     if "stress" in fields:
@@ -149,8 +149,8 @@ def of_file(
     if spacing is None:
         spacing = estimated_spacing(x) if volume is None else float(np.cbrt(np.median(volume)))
         if volume is None:
-            hint = "give --spacing if it is known: the volume depends on it"
-            notes.append(f"spacing estimated: {rounded(spacing, 'um')} ({hint})")
+            hint = "the volume depends on the spacing: give --spacing if you know it"
+            notes.append(f"the spacing is estimated: {rounded(spacing, 'um')} ({hint})")
         if spacing > _MOST_SPACING:
             notes.append(f"the points are {spacing:.3g} m apart: give the unit of the file, such as --unit um")
     if volume is None:
@@ -160,7 +160,7 @@ def of_file(
     cloud = cloud.part(index) if left_out else cloud
     cloud.check()
     if is_shell(cloud.x):
-        raise SplatError(f"the points of {path} lie on a surface: points all over the volume are needed")
+        raise SplatError(f"the points of {path} lie on a surface: give points in the whole volume of the body")
     return cloud, [*notes, *left_out]
 
 
@@ -180,7 +180,7 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
         text = f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
         raise SplatError(text)
     if given is None:
-        notes.append(f"coordinates in {of_file}, as their names say")
+        notes.append(f"the unit of the coordinates is {of_file}, from the column headings")
     return named
 
 
@@ -208,7 +208,7 @@ def estimated_spacing(x: "np.ndarray") -> float:
         raise SplatError(text)
     k = np.arange(8, 25)
     if len(x) <= k[-1]:
-        raise SplatError(f"the cloud has {len(x)} points, too few for a body: give a cloud with more points")
+        raise SplatError(f"the cloud has {len(x)} points, which is too few for a body: give more points")
     distance = cKDTree(x).query(x, k=k[-1] + 1)[0][:, k]
     edge = distance * (4.0 / 3.0 * np.pi / (k + 0.5)) ** (1.0 / 3.0)
     spacing = float(np.percentile(edge.mean(axis=1), 25))

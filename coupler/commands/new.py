@@ -14,18 +14,18 @@ from .gas import add_library, known_nozzles, shown
 SCHEMA = "scene.schema.json"
 KINDS = {
     "single": "one particle on a flat target",
-    "pair": "two particles, one onto the other",
-    "coating": "particles drawn from a seed, with a gas and a nozzle",
-    "job": "a question with an answer on one page: does a powder stick, how much of it, which coating?",
+    "pair": "two particles, the second on the first",
+    "coating": "a coating of random particles, with gas and nozzle",
+    "job": "a job: one page says whether a powder sticks, how much of it, and what coating it makes",
     "map": "a sweep over velocity and temperature",
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
 }
 EXAMPLES = {  # of workflows/; a wheel has them inside the package (pyproject.toml)
     "single_ni": "a 25 um nickel particle on stainless steel at 500 m/s",
-    "double_ni_ti": "a titanium particle onto the splat of a nickel one",
-    "triple_ni": "three nickel particles of different sizes, one onto another",
-    "morphology": "three nickel particles that are no spheres, one onto another",
+    "double_ni_ti": "a titanium particle on the splat of a nickel particle",
+    "triple_ni": "three nickel particles of different sizes, one after another on the same place",
+    "morphology": "three nickel particles that are not spheres, one after another on the same place",
     "coating_ni": "a coating of 40 nickel particles on steel, with a gas and a nozzle",
     "critical_al": "critical velocity of 22 um aluminium on aluminium, by computed bonds",
     "critical_cu": "critical velocity of 14 um copper on copper, by computed bonds",
@@ -36,16 +36,18 @@ EXAMPLES = {  # of workflows/; a wheel has them inside the package (pyproject.to
 
 def add(commands: Commands) -> None:
     """Add the commands to a parser's subcommands."""
-    option = add_command(commands, "new", new, "write a commented scene that runs")
-    option("kind", nargs="?", choices=(*KINDS, *EXAMPLES), metavar="KIND", help=f"{', '.join(KINDS)}, or an example")
+    option = add_command(commands, "new", new, "write an example scene with comments")
+    option(
+        "kind", nargs="?", choices=(*KINDS, *EXAMPLES), metavar="KIND", help=f"{', '.join(KINDS)}, or an example name"
+    )
     option("name", nargs="?", type=path, metavar="NAME", help="name of the file, with or without its ending")
-    option("--list", action="store_true", help="print the kinds and the examples, a line each")
+    option("--list", action="store_true", help="list the kinds and the examples")
     option("--force", action="store_true", help="replace a file of this name")
-    add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
-    option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
+    add_command(commands, "shapes", shapes, "list the particle shapes with their dimensions")
+    option = add_command(commands, "nozzles", nozzles, "list the nozzles of the library with their sources")
     add_library(option)
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
-    option("--of", choices=("scene", "job"), default="scene", help="schema of scenes (default) or of jobs")
+    option("--of", choices=("scene", "job"), default="scene", help="which schema: scenes (default) or jobs")
     option("--out", type=path, metavar="FILE", help="write the schema to this .json file")
     add_force(option)
 
@@ -59,7 +61,7 @@ def new(arguments: argparse.Namespace) -> int:
         print("\n".join(f"{each:14} {text}" for each, text in (KINDS | EXAMPLES).items()))
         return 0
     if name is None:
-        raise ColdsprayError("new: give a kind or an example, and a name; coldspray new --list shows them")
+        raise ColdsprayError("new: give a kind or an example, and a file name; coldspray new --list shows all kinds")
     suffix = ".csv" if kind == "mesh" else ".toml"
     out: Path = name if name.suffix == suffix else name.with_name(f"{name.name}{suffix}")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", out.stem):
@@ -77,7 +79,7 @@ def new(arguments: argparse.Namespace) -> int:
     print(f"{(KINDS | EXAMPLES)[kind]} in {out}{'; its first lines give the next command' if kind in KINDS else ''}")
     if text.startswith("#:schema"):
         write_text(claim_file(out.parent / SCHEMA, (".json",), force=arguments.force), _schema())
-        print(f"{SCHEMA} beside it, for editors that check TOML")
+        print(f"{SCHEMA} is in the same folder, for editors that check TOML")
     return 0
 
 
@@ -85,7 +87,7 @@ def shapes(arguments: argparse.Namespace) -> int:
     """Print the particle shapes. Returns the exit code."""
     from ..physics.shapes import SHAPES, form
 
-    print("lengths along x, y, z at tilt 0, over the diameter of the sphere of equal volume; tilt turns about y\n")
+    print("lengths along x, y, z at tilt 0 / diameter of the sphere of equal volume; tilt: rotation about y\n")
     for name in SHAPES:
         shape = form(name, 1.0)
         thin = f", wall {shape.thinnest:.3f}" if name == "hollow_sphere" else ""

@@ -18,17 +18,18 @@ NAMES = ("properties.json", "properties.csv")
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "what a cold coating is worth: Young's modulus, conductivity of heat and electricity"
+    text = "compute Young's modulus and the thermal and electrical conductivity of a cold coating"
     option = options.add_command(commands, "properties", run, text)
     option("runs", type=options.path, nargs="+", metavar="DIR",
-           help="folder of a run with a cold coating; several, of other seeds, give the error of their mean")  # fmt: skip
-    option("--out", type=options.path, metavar="DIR", help="where the files go (default: properties in the first run)")
+           help="folder of a run with a cold coating; several folders, with different seeds, give the error of the mean")  # fmt: skip
+    option("--out", type=options.path, metavar="DIR", help="output folder (default: properties in the first run)")
     option("--side", type=options.quantity("--side", "length"), metavar="L",
-           help="side of the block in the plane (default: the square in the disc that `coating` measures)")  # fmt: skip
+           help="horizontal edge length of the block (default: the square in the disc that `coating` measures)")  # fmt: skip
     option("--heights", type=options.quantity("--heights", "length"), nargs=2, metavar=("LOW", "HIGH"),
-           help="heights z between which the block lies (default: above 99 %% of the substrate, below 90 %% of the tops)")  # fmt: skip
+           help="lowest and highest z of the block (default: above 99 %% of the substrate, below 90 %% of the tops)")  # fmt: skip
     option("--conductance", type=options.quantity("--conductance", "heat transfer"), metavar="H",
-           help='of facets that touch without a bond, such as "5e7 W/(m2 K)" (default: 1.5e7 and 5.5e8)')  # fmt: skip
+           help='thermal conductance of facets that touch without a bond, such as "5e7 W/(m2 K)" (default: 1.5e7'
+           ' and 5.5e8)')  # fmt: skip
     options.add_force(option)
 
 
@@ -91,7 +92,7 @@ def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
     from ..report.words import with_error
 
     shown = Table(box=SIMPLE_HEAD, pad_edge=False)
-    heads = ("% of the bulk", "bulk", "kinematic", "mixed", "static", "error", "of size")
+    heads = ("% of the bulk value", "bulk", "kinematic", "mixed", "static", "error", "of size")
     for text in (*heads, *(["mean of runs"] if seeds else [])):
         shown.add_column(text, justify="left" if text == heads[0] else "right")
     for key, value in of.values.items():

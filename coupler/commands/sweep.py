@@ -24,14 +24,15 @@ def add(commands: Commands) -> None:
     text = "file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
     option("sweep", type=path, metavar="FILE", help=text)
     option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
-    add_jobs(option, "runs at the same time")
+    add_jobs(option, "number of simultaneous runs")
     option("--executor", default="processes", metavar="WHERE",
-           help="processes (this machine; default), mpi (ranks of an allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep"
+           help="where the runs are computed: processes (this machine; default), mpi (ranks of an allocation:"
+           " mpiexec -n N python -m mpi4py.futures -m coupler sweep"
            " ...), or slurm (jobs that compute one run after another)")  # fmt: skip
     option("--slurm", type=_slurm_option, action="append", default=[], metavar="KEY=VALUE",
            help="option of the Slurm jobs, may be repeated: cores=32 (runs at the same time in a job; default 1), time=04:00:00"
            " (default 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
-    text = "compute points again if their results belong to another scene"
+    text = "compute points again whose results belong to another scene"
     option("--force", action="store_true", help=text)
     add_quiet(option)
 
@@ -77,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(summary))
     stopped = sum(status == "stopped" for status in statuses.values())
     if stopped:
-        print(f"{stopped} of {len(statuses)} runs are not finished: the same command continues them")
+        print(f"{stopped} of {len(statuses)} runs are not finished: repeat the command to continue them")
     return 3 if stopped else 0
 
 
@@ -118,7 +119,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     if measures:
         lines += ["", *_table(measures), _verdicts(rows), ""]
         distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
-        heading = f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %"
+        heading = f"{sweep.name}: {count['done']} runs; line: median, shaded: 5 % to 95 %"
         distribution.draw_spreads(out / OUTPUTS[2], measures, heading)
         return [*lines, f"tables in {out / OUTPUTS[0]} and {OUTPUTS[1]}, figure in {OUTPUTS[2]}"]
     axes = f" --axes {' '.join(keys)}" if keys else ""

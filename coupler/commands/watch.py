@@ -30,8 +30,8 @@ def add(commands: Commands) -> None:
     text = "show measures, energies and remaining time of a running run; writes nothing into its folder"
     option = add_command(commands, "watch", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run")
-    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="time between two readings (default: 5)")
-    option("--picture", type=path, metavar="FILE", help="a .png file for the cross-section, drawn for each stored step")
+    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="time between two updates, s (default: 5)")
+    option("--picture", type=path, metavar="FILE", help=".png file for the cross-section, updated at each stored step")
     option("--once", action="store_true", help="read once")
     add_force(option)
 
@@ -97,10 +97,10 @@ def state(result: "Result") -> str:
     age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
     if age > SILENT:
         lines.append(
-            f"no new data for {age:.0f} s: if it was stopped, coldspray resume {result.directory} continues it"
+            f"no new data for {age:.0f} s: if the run was stopped, coldspray resume {result.directory} continues it"
         )
     if not len(history.get("time", ())):
-        return "\n".join([*lines, "no row of the history yet"])
+        return "\n".join([*lines, "the history has no row yet"])
     lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}")
     lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
     of_impact = history["impact"] == history["impact"][-1]

@@ -19,15 +19,15 @@ COLUMNS = ("share", "diameter_um", "velocity_m_s", "temperature_K", "critical_ve
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "compare a powder at impact with the deposition window; deposition efficiency"
+    text = "compare impact velocities of a powder with its deposition window; estimate the deposition efficiency"
     option = add_command(commands, "window", run, text)
     gas.add_conditions(option)
     option("--powder", nargs=3, metavar=("D10", "D50", "D90"), required=True, dest="diameter",
-           help='diameters that are larger than 10, 50 and 90 %% of the mass, such as "15 um" "25 um" "40 um"')  # fmt: skip
-    option("--substrate", metavar="NAME", help="metal of the substrate, for the verdict on the first layer")
+           help='diameters below which 10, 50 and 90 %% of the mass lie, such as "15 um" "25 um" "40 um"')  # fmt: skip
+    option("--substrate", metavar="NAME", help="metal of the substrate, for the verdict about the first layer")
     option("--within", default="20%", metavar="PERCENT", help='uncertainty of the critical velocity (default: "20%%")')
     option("--csv", type=path, metavar="FILE", help="write a table with a row for each class of the powder")
-    option("--png", type=path, metavar="FILE", help="draw velocity over temperature at impact, with the limits")
+    option("--png", type=path, metavar="FILE", help="draw velocity against temperature at impact, with the limits")
     add_force(option)
 
 

@@ -61,7 +61,7 @@ class BodyContact(BodyContactState):
         bulk modulus for each body."""
         if len(bulk_modulus) != surfaces.bodies:
             raise SolverError(
-                f"contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, got {len(bulk_modulus)}"
+                f"the contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, but {len(bulk_modulus)} are given"
             )
         self.surfaces = surfaces
         self._is_new = True  # the first search takes the bonded nodes as they are
@@ -190,7 +190,7 @@ class BodyContact(BodyContactState):
         self._is_new = False
 
     def past(self) -> ContactPast:
-        """Data from which the contact of another set of bodies continues. Call `heat` first."""
+        """Data for the contact of another set of bodies, which continues from this contact. Call `heat` first."""
         c, nodes = self.pairs, new_history(len(self.bonded))
         nodes[c.points.node] = c.history
         return ContactPast(nodes, copied(c.sums))

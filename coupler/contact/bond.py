@@ -158,7 +158,8 @@ class Bond:
         return np.bincount(ends.ravel(), self.row_sums().ravel(), size)
 
     def row_sums(self) -> np.ndarray:
-        """Row sums (n,4) N/m of the stiffness matrix of each bond: row of its point, rows of the corners of its triangle."""
+        """Row sums (n,4) N/m of the stiffness matrix of each bond: the row of its point, then the rows of the three corners of its
+        triangle."""
         spring, share = self.stiffness * self.area, np.abs(self.weights)
         whole = 1.0 + share.sum(axis=1)
         return np.concatenate([(spring * whole)[:, None], (spring[:, None] * share) * whole[:, None]], axis=1)
@@ -228,13 +229,13 @@ class Bond:
             self._moved = self._moved[:0]
 
     def drop(self, gone: np.ndarray) -> None:
-        """Remove the bonds of a mask (n,). Their stored energy is dissipated."""
+        """Remove the bonds that a mask (n,) selects. Their stored energy is dissipated."""
         lost = float(self.stored_by_each[gone].sum())
         self.stored, self.dissipated = self.stored - lost, self.dissipated + lost
         self._keep(~gone)
 
     def _keep(self, which: np.ndarray) -> None:
-        """Keep only the bonds of a mask (n,)."""
+        """Keep only the bonds that a mask (n,) selects."""
         vars(self).update(vars(take(self, which)))
 
     def renumber(self, node: np.ndarray) -> None:

@@ -22,9 +22,9 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 
 @dataclass
 class ContactSums(Sums):
-    """Sums over all steps. dropped: number of points that have lost their contact because they lay too deep. Energies, J:
-    friction_heat; dropped_energy: energy of the springs of these points, and of points whose depth has jumped; lost: energy lost
-    where compression passes from bonds to the contact, negative where energy is gained."""
+    """Sums of contact energies over all steps. dropped: number of points that have lost their contact because they lay too deep.
+    Energies, J: friction_heat; dropped_energy: energy of the springs of these points, and of points whose depth has jumped; lost:
+    energy lost where compression passes from bonds to the contact, negative if energy is gained."""
 
     friction_heat: float = 0.0
     dropped_energy: float = 0.0
@@ -34,8 +34,8 @@ class ContactSums(Sums):
 
 @dataclass(eq=False)
 class ContactState:
-    """State of a contact. history (n,): of each point; heat_point (n,), heat_face (k,) J: heat of friction that the bodies have not
-    yet received."""
+    """State of a contact. history (n,): contact history of each point; heat_point (n,), heat_face (k,) J: heat of friction that the
+    bodies have not yet received."""
 
     history: Annotated[np.ndarray, Shape(-1, dtype=HISTORY)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
@@ -97,12 +97,12 @@ class Contact(ContactState):
 
     @property
     def depth(self) -> Floats:
-        """Penetration (n,) m that gives force."""
+        """Penetration (n,) m of each point, without the part that gives no force."""
         return self.history["depth"][:, 0]
 
     @property
     def gap(self) -> Floats:
-        """Signed distance (n,) m of the points `rows` from the faces."""
+        """Signed distance (n,) m of the points `rows` from their faces, negative inside."""
         return self._projections.gap[:, 0]
 
     @property

@@ -67,13 +67,13 @@ class ParticleBonds:
         return safety.BONDS * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     def bonded_points(self, xp: np.ndarray) -> BondedPoints:
-        """Points with unbroken springs, and their laws. xp: as in `forces`."""
+        """The points with unbroken springs, with the strength, energy and damage of each. xp: as in `forces`."""
         b, whole = self.bond, ~self.bond.broken
         return BondedPoints(xp[b.nodes[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
 
     @property
     def resistance(self) -> float:
-        """Energy (J) that all springs together can still absorb; 0 if fewer than FEWEST are unbroken."""
+        """Energy (J) that all springs together can still absorb; 0 if fewer than FEWEST springs are unbroken."""
         whole = np.count_nonzero(~self.bond.broken)
         return float(self.bond.resistance.sum()) if whole >= FEWEST else 0.0
 

@@ -27,7 +27,8 @@ class Surfaces:
 
     @classmethod
     def of(cls, facets: np.ndarray, facet_element: np.ndarray, body_of_element: np.ndarray) -> "Surfaces":
-        """Surfaces of a mesh. facets (k,3): nodes; facet_element (k,): element behind each; body_of_element (m,)."""
+        """The surfaces of a mesh. facets (k,3): nodes of the facets; facet_element (k,): element behind each facet; body_of_element
+        (m,): body of each element."""
         body = np.asarray(body_of_element)[facet_element]
         return cls(np.ascontiguousarray(facets, np.int64), body.astype(np.int64), np.asarray(facet_element, np.int64))
 
@@ -38,7 +39,7 @@ class Surfaces:
 
     @cached_property
     def _by_body(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of all facets, body by body, and the index of the first facet of each body."""
+        """Numbers of all facets, sorted by body, and the index of the first facet of each body."""
         return np.argsort(self.body, kind="stable"), np.cumsum([0, *np.bincount(self.body)])
 
     def facets_of(self, *bodies: int) -> np.ndarray:
@@ -57,7 +58,7 @@ class Surfaces:
 
     @cached_property
     def body_of_node(self) -> np.ndarray:
-        """Body (n,) of each node up to the last surface node; -1 for inner nodes."""
+        """Body (n,) of each node, up to the surface node with the largest number; -1 for inner nodes."""
         owner = np.full(self._nodes, -1)
         owner[self.facets] = self.body[:, None]
         return owner
@@ -67,11 +68,11 @@ class Surfaces:
         return int(self.facets.max(initial=-1)) + 1
 
     def nodes_of(self, *bodies: int) -> np.ndarray:
-        """Surface nodes of these bodies, ascending."""
+        """Numbers of the surface nodes of these bodies, ascending."""
         return self.corners_of(self.facets_of(*bodies))
 
     def corners_of(self, ids: np.ndarray) -> np.ndarray:
-        """Nodes of the facets `ids`, ascending."""
+        """Numbers of the nodes of the facets `ids`, ascending."""
         return occurring(self.facets[ids], self._nodes)
 
     def spacing(self, x: np.ndarray, body: int) -> float:
@@ -97,7 +98,7 @@ class Interface:
     own: np.ndarray
 
     def only(self, which: np.ndarray) -> "Interface":
-        """The rows of a mask (n,). Their areas do not change."""
+        """The part of the interface whose rows a mask (n,) selects. Areas of rows do not change."""
         row = np.cumsum(which) - 1
         own = self.own[which[self.own[:, 0]]]
         return replace(take(self, which), own=np.stack([row[own[:, 0]], own[:, 1]], axis=1))

@@ -1,4 +1,4 @@
-"""Number of processors for this process."""
+"""Number of processors that this process may use."""
 
 import math
 import os

@@ -113,7 +113,8 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     computation is left or its time limit is reached."""
     if shutil.which("sbatch") is None:
         raise PlacementError(
-            "the executor slurm needs the command sbatch, which is not installed here: use a Slurm cluster, or another --executor"
+            "the executor slurm needs the command sbatch, which is not installed on this machine: use a Slurm"
+            " cluster, or another --executor"
         )
     try:
         from parsl.concurrent import ParslPoolExecutor

@@ -25,14 +25,14 @@ class Kept(Protocol):
     """A part of a simulation that has its own functions to save and restore its state."""
 
     def state(self) -> object:
-        """The state of the part, for a checkpoint."""
+        """The state of the part, as a record for a checkpoint."""
 
     def restore(self, state: Any) -> None:
         """Set the part to a state that `state` returned."""
 
 
 class Sums:
-    """Base of records of sums over time. Two such records can be added and subtracted, field by field."""
+    """Base class of records whose fields are sums over time. Two such records can be added and subtracted, field by field."""
 
     def __add__(self: S, other: S) -> S:
         return type(self)(*(vars(self)[name] + value for name, value in vars(other).items()))
@@ -71,7 +71,7 @@ class Rows(Shape):
         self.fill, self.lammps, self.least = fill, lammps, least
 
     def new(self, n: int) -> np.ndarray:
-        """An array of n rows of the fill value."""
+        """A new array of n rows in which all values are the fill value."""
         shape = (n, *self.shape[1:])  # zeros take no time until they are written
         return np.full(shape, self.fill, self.dtype) if self.fill else np.zeros(shape, self.dtype)
 
@@ -94,7 +94,7 @@ def rows_of(record: object) -> dict[str, Rows]:
 
 
 def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
-    """A record of n rows. known: arrays by name; all other arrays have their fill value."""
+    """A new record of n rows. known: arrays by name; all other arrays contain their fill value."""
     return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
 
 
@@ -105,7 +105,7 @@ def arrays_of(record: object) -> dict[str, np.ndarray]:
 
 def unfit(problem: str) -> CheckpointError:
     """The error for a checkpoint that does not fit its run."""
-    return CheckpointError(f"the checkpoint does not fit: {problem}; start again with coldspray run --force")
+    return CheckpointError(f"the checkpoint does not fit the run: {problem}; start again with coldspray run --force")
 
 
 def copied(record: R) -> R:
@@ -132,7 +132,7 @@ def put(record: R, into: R) -> None:
         if isinstance(value, np.ndarray) and value.shape == own.shape:
             own[...] = value
         elif isinstance(value, np.ndarray) and (len(own) or value.shape[1:] != own.shape[1:]):
-            raise unfit(f"{name} has the shape {value.shape}, needed {own.shape}")
+            raise unfit(f"{name} has the shape {value.shape}, but {own.shape} is needed")
         elif is_dataclass(value) and isinstance(own, Kept):
             own.restore(value)
         elif is_dataclass(value):

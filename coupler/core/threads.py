@@ -45,7 +45,7 @@ class Team:
             thread.start()
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
-        """Submit work(team) to the other threads. Returns the team for the caller's own call of work."""
+        """Give the call work(team) to the other threads. Returns the team that the calling thread uses for its own call."""
         team, self._next = self._next, _counters()
         for queue in self._begun:
             queue.put((work, self._next))
@@ -70,7 +70,7 @@ class Team:
                 raise error
 
     def close(self) -> None:
-        """End the threads after the submitted tasks."""
+        """End the threads after all submitted tasks are done."""
         for queue in self._begun:
             queue.put(None)
         for thread in self._threads:
@@ -150,7 +150,7 @@ def share(work: Callable[[int, int], None], count: int, least: int) -> None:
 
 
 def rows_at(array: np.ndarray, rows: Ints) -> np.ndarray:
-    """array[rows], computed in all threads."""
+    """The rows array[rows], copied in all threads."""
     found = np.empty((len(rows), *array.shape[1:]), array.dtype)
 
     def fill(lo: int, hi: int) -> None:

@@ -92,7 +92,7 @@ def side_by_side(
                 begun.append((task, cut, future))
             first, last = begun[0][0].i + 1, begun[-1][0].i + 1
             before = forecast(begun[0][0].plan).shares[first - 1][0]
-            options.progress.stage(f"impacts {first} to {last} side by side", of_impact=False, done=before)
+            options.progress.stage(f"impacts {first} to {last} at the same time", of_impact=False, done=before)
             meanwhile()
             while left := [future for _, _, future in begun if not future.done()]:
                 if options.threads // len(left) > threads:

@@ -12,7 +12,7 @@ from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.equilibrium import RELEASE_TIME, settle
 
-REASON = "no path of unbroken bonds leads to the substrate"
+REASON = "no chain of unbroken bonds connects it to the substrate"
 
 
 def release_time(plan: Plan) -> float:

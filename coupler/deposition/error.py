@@ -1,4 +1,5 @@
-"""The error of the results of a run, from coarser runs: the same scene with fewer points, computed at the same time or afterwards."""
+"""The resolution error of a run. It follows from coarser runs: the same scene with fewer points, computed at the same time or
+afterwards."""
 
 import contextlib
 import json

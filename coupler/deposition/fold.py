@@ -37,8 +37,9 @@ from .task import Task, TaskFiles, TaskState, attempt
 
 @dataclass(frozen=True)
 class DepositionState:
-    """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: of the finished
-    impacts; wall: wall time so far, s; within: state of an impact on the full domain that is not finished; None if there is none."""
+    """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: records of the
+    finished impacts, and reports of the joining of their splats; wall: wall time so far, s; within: state of an impact on the full
+    domain that is not finished; None if there is none."""
 
     bodies: BodiesState
     store: StoreState
@@ -51,8 +52,8 @@ class DepositionState:
 class Deposition:
     """The deposition of all particles of a plan, batch by batch. It runs on the MPI rank that has the target.
 
-    plan: without skipped impacts; pool: executor for simultaneous impacts, None if all are computed in this process; records: of the
-    finished impacts; joins: reports of the joining of their splats; closing: report of the closing stage.
+    plan: the plan without skipped impacts; pool: executor for simultaneous impacts, None if all are computed in this process;
+    records: records of the finished impacts; joins: reports of the joining of their splats; closing: report of the closing stage.
     """
 
     def __init__(self, plan: Plan, folder: Path, options: RunOptions, store: Store, pool: Executor | None = None):
@@ -77,7 +78,7 @@ class Deposition:
 
     @property
     def _may_skip(self) -> bool:
-        """Whether an impact that fails or is undecided is skipped."""
+        """Whether the run leaves out an impact that fails or is undecided."""
         return self.options.skip_failed and self.options.ranks.size == 1 and len(self.plan.impacts) > 1
 
     # ---- the fold ------------------------------------------------------------------------------------------------
@@ -137,7 +138,7 @@ class Deposition:
             left, gone = without_detached(self.plan, whole, number, "impact")
             self.joins += [{"impact": number, "detached": gone}] if gone else []
             return left
-        self.options.progress.stage("cooling, and preparing the next impact")
+        self.options.progress.stage("heat conduction, and preparation of the next impact")
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [each.task.place for each in done]
         whole = rest(self.plan, batch, whole, places, kinetic_0, self.joins[-1])
@@ -145,7 +146,7 @@ class Deposition:
         bodies = clock.perf_counter() - computed - sum(pause.values())  # assembly, numbering, search for overlaps
         self.joins[-1]["seconds"] = {"impacts": computed - self._batch_began, **pause, "bodies": bodies}
         took = ", ".join(f"{piece} {seconds:.2f} s" for piece, seconds in self.joins[-1]["seconds"].items())
-        self.options.progress.record(f"impacts {first + 1} to {number} and the time until the next: {took}")
+        self.options.progress.record(f"impacts {first + 1} to {number} and the pause after them: {took}")
         for text in unsettled(self.joins[-1]):
             self.options.progress.log(text)
         if not batch.is_whole and number < len(self.plan.impacts):
@@ -171,7 +172,7 @@ class Deposition:
             return target
         if not self.can_go_on:
             self._save(target, self.store.state())
-        self.options.progress.stage("cooling to ambient")
+        self.options.progress.stage("cooling to ambient temperature")
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
         t = target.target
         thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
@@ -179,7 +180,7 @@ class Deposition:
         return target
 
     def finish(self, target: Bodies) -> None:
-        """Write the summary. Checkpoints are kept if the last impact can continue."""
+        """Write the summary of the run. Checkpoints are kept if the last impact can continue."""
         (self.folder / PICTURE).unlink(missing_ok=True)  # from an earlier end of this run
         origin = provenance(Result(self.folder).scene_text, self.plan.engine)
         self.store.finish({**self._summary(target), "provenance": origin})
@@ -237,7 +238,8 @@ class Deposition:
                 raise ValueError(problem)
         except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
             raise CheckpointError(
-                f"the checkpoint in {self.folder} is damaged (its records of impacts: {type(error).__name__} {error}): start again"
+                f"the checkpoint in {self.folder} is damaged (its records of impacts: {type(error).__name__}"
+                f" {error}): start the run again"
                 " with coldspray run --force"
             ) from error
 
@@ -260,7 +262,7 @@ class Deposition:
         checkpoint.write(self.folder, state, self._about)
 
     def _identity(self) -> dict[str, str]:
-        """Data that identify the run to which a checkpoint belongs."""
+        """Data that identify the run; a checkpoint contains them."""
         scene = (Result(self.folder).scene_text + plan_text(self.plan)).encode()
         return {
             "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),

@@ -34,8 +34,8 @@ RELEASED_BOUND = (
 def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point) -> tuple[Bodies, Values]:
     """The bodies of a sub-domain after an impact, with its splat, at rest within its window; and a report.
 
-    outcome: of impact i; place: impact point, m, from which the bodies are numbered. A particle that has rebounded does not join.
-    Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError if the particle cannot be meshed, or
+    outcome: outcome of impact i; place: impact point, m, from which the bodies are numbered. A particle that has rebounded does not
+    join. Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError if the particle cannot be meshed, or
     joining releases more than RELEASED_BOUND.
     """
     started = clock.perf_counter()
@@ -72,8 +72,8 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     kinetic_0 = float(record["kinetic_energy_0_J"])
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
-            f"after impact {i + 1} the bodies are not completely in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of its"
-            f" kinetic energy can still be released, the aim is {RELAXED:.0e}"
+            f"after impact {i + 1} the bodies are not completely in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of"
+            f" its kinetic energy can still be released; the limit is {RELAXED:.0e}"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
     report |= {
@@ -84,7 +84,7 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     if report["released"] > RELEASED_BOUND:
         raise SolverError(
             f"splat {i + 1} released {report['released']:.2%} of the kinetic energy when it joined the target,"
-            f" allowed {RELEASED_BOUND:.1%}: try a finer preset, or another [splat] method"
+            f" but the limit is {RELEASED_BOUND:.1%}: try a finer preset, or another [splat] method"
         )
     return new, report
 
@@ -118,9 +118,9 @@ def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:
-    """The bodies after a batch of impacts and the pause until the next: heat has flowed, bodies are in equilibrium, and splats that are
-    not attached are removed. places: impact points, m; kinetic_0: kinetic energy of all impacts of the batch, J; report: of the last
-    joining, to which entries are added.
+    """The bodies after a batch of impacts and the pause until the next: heat has flowed, bodies are in equilibrium, and splats that
+    are not attached are removed. places: impact points, m; kinetic_0: kinetic energy of all impacts of the batch, J; report: report
+    of the last joining, to which entries are added.
 
     Equilibrium is computed up to the distance REST from the impact points, and after a pause also wherever temperatures have changed.
     The small imbalance farther away is relaxed after later impacts or in the closing stage.

@@ -35,7 +35,7 @@ class _Compiling(event.TimingListener):
         self.progress = progress
 
     def on_start(self, event: event.Event) -> None:
-        self.progress.stage("compiling the kernels, once on this machine")
+        self.progress.stage("compiling the kernels (only once on this machine)")
         super().on_start(event)
 
     def on_end(self, event: event.Event) -> None:

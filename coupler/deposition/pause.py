@@ -206,7 +206,7 @@ def _missing_energy(metal: Material, T: float, ambient: float, law: np.ndarray, 
 
 
 def _links(bodies: Bodies, size: float) -> list[Links]:
-    """Thermal contacts of splats with each other and with the substrate. size: of the elements of splats, m."""
+    """Thermal contacts of splats with each other and with the substrate. size (m): size of the splats' elements."""
     surfaces, x = bodies.surfaces, bodies.target.nodes.x
     reach = NEAR * size
     near = earlier_neighbours(surfaces, x, reach)

@@ -41,7 +41,7 @@ class BatchReplay:
         self._impacts: list[_Written] = []
 
     def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> None:
-        """Add the next impact. before: simulated time of the earlier impacts, s."""
+        """Add the files of the next impact of the batch. before: simulated time of the earlier impacts, s."""
         met, left = task.bodies.target, result.bodies.target
         more = len(left.nodes.x) - len(met.nodes.x), len(left.elements.T) - len(met.elements.T)
         numbers = met.nodes.node_number, met.elements.element_number

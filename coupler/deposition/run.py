@@ -127,13 +127,14 @@ def resume(
         return _complete(result, None if measured else Companions(decided, folder, knobs, _alone), options)
     if result.finished and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
-            f"impact {len(result.impacts)} is computed up to {float(result.end['time_s']) * 1e9:.4g} ns: give a later --until"
+            f"impact {len(result.impacts)} is already computed up to {float(result.end['time_s']) * 1e9:.4g} ns:"
+            f" give a later time with --until"
         )
     if until is not None and not (result.finished and checkpoint.stored(folder)):
         why = (
-            "has no checkpoint: --until cannot continue it"
+            "has no checkpoint, so that --until cannot continue it"
             if result.finished
-            else "is not finished: resume it without --until first"
+            else "is not finished: first resume it without --until"
         )
         raise CheckpointError(f"{folder} {why}")
     companions = Companions(decided, folder, knobs, _alone) if error else None
@@ -181,10 +182,10 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
         checkpoint.clear(result.directory)
     with interrupted_by(signal.SIGTERM), options.progress:
         if not (result.directory / PICTURE).exists():
-            options.progress.stage("drawing the section", of_impact=False)
+            options.progress.stage("drawing the cross-section", of_impact=False)
             report.section_picture(result)
         if companions is not None and companions.plan.companions and not result.undecided:
-            options.progress.stage("measuring the error: the scene at fewer points", of_impact=False)
+            options.progress.stage("measuring the error with coarser runs of the scene", of_impact=False)
             companions.measure(options.threads)
     return Result(result.directory)
 

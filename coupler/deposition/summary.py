@@ -21,14 +21,14 @@ FRAGMENTS = 0.01  # share of the mass of a particle: a run warns if more is lost
 # Limits of numerical losses: key in the record of an impact, limit, warning
 LIMITS = (
     ("numerical_dissipation", DISSIPATION_LIMIT, "viscosity and hourglass control took {share:.0%} of the kinetic energy, more than"
-     " {limit:.0%}: they shape the splat beside the metal's own strength, try a finer preset"),
+     " {limit:.0%}: besides the metal's strength, these numerical terms shape the splat; try a finer preset"),
     ("dissipation_of_plastic", PLASTIC_SHARE_LIMIT, "in the particle viscosity and hourglass control took {share:.0%} of the plastic"
      " work, more than {limit:.0%}: plastic strains are too low, try a finer preset"),
 )  # fmt: skip
 
 
 def simulated(records: Sequence[ImpactRecord]) -> float:
-    """Simulated time of the impacts, s."""
+    """Simulated time of all these impacts together, s."""
     return float(sum(record.values["end"]["time_s"] for record in records))
 
 
@@ -43,8 +43,8 @@ def summary(
 ) -> Summary:
     """The summary of a run.
 
-    records: of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None for a splat that
-    has left (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
+    records: records of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None for a
+    splat that has left (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
     """
     detached = _detached([*joins, closing or {}])
     fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}
@@ -77,12 +77,12 @@ def summary(
             "warnings": [
                 *plan.skipped,
                 *(
-                    f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds are broken, its mass counts as lost"
+                    f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds are broken, and its mass counts as lost"
                     for n, kg in detached.items()
                 ),
                 *(
-                    f"impact {n}: {share:.1%} of the particle has left as fragments of fewer than {MIN_POINTS} points, which no mesh"
-                    " holds: their mass counts as lost"
+                    f"impact {n}: {share:.1%} of the particle has separated as fragments of fewer than {MIN_POINTS} points,"
+                    " which cannot be meshed; their mass counts as lost"
                     for n, kg in fragments.items()
                     if (share := kg / impacts[n - 1]["particle_mass_kg"]) > FRAGMENTS
                 ),
@@ -112,7 +112,8 @@ def unsettled(report: Values) -> list[str]:
     temperature."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
         return [
-            f"after the closing stage the bodies differ by {off:.0f} K from ambient: plastic work during cooling heats them"
+            f"after the closing stage the temperatures of the bodies differ by {off:.0f} K from the ambient"
+            f" temperature, because plastic work during the cooling heats them"
         ]
     pause = report.get("cooling", {})
     steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]

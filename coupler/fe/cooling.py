@@ -32,7 +32,8 @@ CG_TOLERANCE = (
 
 @dataclass(frozen=True)
 class Film:
-    """Gas on a surface. nodes (k,); area (k,) m2: of each node; coefficient: heat transfer, W/(m2 K); T: of the gas, K."""
+    """Heat transfer between a gas and a surface. nodes (k,): nodes of the surface; area (k,) m2: area of each node; coefficient: heat
+    transfer coefficient, W/(m2 K); T: temperature of the gas, K."""
 
     nodes: np.ndarray
     area: np.ndarray
@@ -100,7 +101,7 @@ def cool(
             b = GAMMA * free * (source - dt * (times(K, T + change) - from_gas * T_gas))
             if not solve(A, b, stage, CG_TOLERANCE, most=5000):
                 raise SolverError(
-                    "the heat conduction in the pause between impacts does not converge: give a shorter dwell or a finer preset"
+                    "the heat conduction in the pause between impacts does not converge: give a shorter dwell, or a finer preset"
                 )
             # the residual of the total heat is spread over all nodes
             stage += free * (np.sum(b - times(A, stage)) / (free @ times(A, free)))

@@ -127,7 +127,7 @@ class Target(TargetState):
 
     @property
     def time(self) -> float:
-        """Time since the start, s."""
+        """Time since the start of the target, s."""
         return self.balance.time
 
     @property
@@ -198,7 +198,7 @@ class Target(TargetState):
 
     @property
     def most_nodes(self) -> int:
-        """Number of nodes within the window."""
+        """Number of nodes inside the window, which is the largest possible number of active nodes."""
         return self._active_counts(np.inf)[0]
 
     def active_after(self, time: float) -> int:
@@ -272,7 +272,8 @@ class Target(TargetState):
         self.balance.heat += heat
 
     def finish(self) -> None:
-        """Complete the step after the contact forces have been added to `f_ext`: boundary forces, work and impulses."""
+        """Complete the step after the contact forces have been added to `f_ext`: add boundary forces, and update work and
+        impulses."""
         self.add_up(self.dt_last)
         if len(self.dashpot_nodes):
             power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.nodes.v, self.drag, self.nodes.total)
@@ -342,7 +343,7 @@ class Target(TargetState):
         self._store_inactive_forces()
 
     def rest(self) -> None:
-        """Set all velocities to zero."""
+        """Set all velocities of the target to zero."""
         self.balance.impulse = (
             self.external_impulse() - self.mass @ self.nodes.v
         )  # an external impulse stops the target

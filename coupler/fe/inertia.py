@@ -35,9 +35,9 @@ class InertiaState:
 
 
 class ElementInertia(InertiaState):
-    """The scaled elements of one target; they are chosen before each chunk of steps.
+    """The elements of one target that have an added inertia (scaled elements). They are chosen before each chunk of steps.
 
-    elements (s,); factor (s,): (T / t_e)^2 of each; nodes (k,): their free nodes.
+    elements (s,): their numbers; factor (s,): (T / t_e)^2 of each; nodes (k,): their nodes that are not fixed.
     """
 
     def __init__(self) -> None:

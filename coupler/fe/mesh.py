@@ -77,7 +77,7 @@ def prepare_ordered(
     size = np.abs(volumes(points, tets))
     if not np.all(size > 0.0):
         bad = int(np.argmin(size))
-        raise SolverError(f"tetrahedron {bad} of the mesh is empty: remesh the target or change its element size")
+        raise SolverError(f"tetrahedron {bad} of the mesh has no volume: change the element size of the target")
     tets = oriented(points, tets)
 
     mesh = MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tets.T), sort_t=False)

@@ -13,7 +13,7 @@ class Relaxation:
     fixed nodes and time steps of the target itself do not change.
 
     fixed (k,): fixed nodes of the target and nodes at the edge of the part; free (n,) bool: all others; mass (n,) kg, inv_mass (n,)
-    1/kg: of the nodes, inv_mass is 0 for fixed nodes; dt (s): time step, see `weigh`.
+    1/kg: masses of the nodes and their inverses, where inv_mass is 0 for fixed nodes; dt (s): time step, see `weigh`.
     """
 
     def __init__(self, target: Target, radius: float, dt: float):
@@ -53,14 +53,15 @@ class Relaxation:
         self._damped = self.inv_mass.copy()
 
     def advance(self, damping: float) -> None:
-        """Make one step, as `Target.advance`. damping: ratio to the critical damping of the step; forces are divided by 1 + damping."""
+        """Make one step like `Target.advance`. damping: ratio to the critical damping of the step; forces are divided by 1 +
+        damping."""
         t, n = self.target, self.target.active_nodes
         t.balance.impulse += self.dt * t.support
         np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])
         t.move(n, self.dt, self.dt, self._damped)
 
     def finish(self) -> None:
-        """Complete the step, as `Target.finish`."""
+        """Complete the step like `Target.finish`."""
         t = self.target
         t.add_up(self.dt)
         t.pull()

@@ -32,7 +32,7 @@ R = TypeVar("R")
 
 
 class OtherVersion(CheckpointError):
-    """A checkpoint of another format or run."""
+    """Error: a checkpoint has another format, or belongs to another run."""
 
 
 def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
@@ -78,9 +78,9 @@ def clear(directory: Path) -> None:
 def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
-    """The state of the last complete checkpoint, a record of class `kind`; None without a checkpoint. A damaged one is skipped, with a
-    line to log(text). Raises CheckpointError if a checkpoint belongs to another version or scene (a key of `about` differs), or if all
-    are damaged."""
+    """The state of the last complete checkpoint, a record of class `kind`; None if there is no checkpoint. A damaged checkpoint is
+    skipped, with a line to log(text). Raises CheckpointError if a checkpoint belongs to another version or scene (a key of `about`
+    differs), or if all are damaged."""
     damaged = []
     for _, path in reversed(stored(directory)):
         try:
@@ -90,7 +90,7 @@ def latest(
         except CheckpointError as error:
             damaged.append(str(error))
             if log is not None:
-                log(f"{error}; trying the checkpoint before")
+                log(f"{error}; the checkpoint before it is tried")
     if damaged:
         raise CheckpointError(f"no checkpoint in {directory} can be read: start again with coldspray run --force")
     return None
@@ -105,7 +105,7 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
             _check_origin(path, json.loads(text), about or {})
             state = json.loads(text, object_hook=partial(_from_json, arrays, _kinds(kind)))["state"]
             if not isinstance(state, kind):
-                raise ValueError(f"the state is no {kind.__name__}")
+                raise ValueError(f"the state is not a {kind.__name__}")
             return state
     except CheckpointError:
         raise
@@ -117,10 +117,10 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
 
 def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str]) -> None:
     """Raise OtherVersion if a header has another format, or another value for a key of `about`."""
-    its, again = dict(header["about"]), "or start again with coldspray run --force"
+    its, again = dict(header["about"]), "or start the run again with coldspray run --force"
     if header["format"] != FORMAT:
         raise OtherVersion(
-            f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
+            f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, but this version"
             f" reads format {FORMAT}: continue with that version, {again}"
         )
     for key, wanted in about.items():

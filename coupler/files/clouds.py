@@ -45,10 +45,10 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
     file."""
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
-        most = f"{LARGEST_FILE // 1024**3} GiB, the most that is read"
+        most = f"{LARGEST_FILE // 1024**3} GiB, which is the largest size that can be read"
         raise InputError(path, f"is larger than {most}: give fewer points")
     if columns is not None and kind not in TEXT:
-        raise InputError(path, f"has no named columns: leave --columns out, it is for {', '.join(TEXT)}")
+        raise InputError(path, f"has no columns to name: leave --columns out, it is only for {', '.join(TEXT)}")
     if kind in SURFACES and len(read_surface(path)[1]):
         raise InputError(path, SURFACE)
     try:
@@ -67,7 +67,7 @@ def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = 
         raise InputError(path, f"cannot be read: {kind}{str(problem)[:300]}") from problem
     x = points.x
     if x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 or x.dtype.kind not in "iuf":
-        raise InputError(path, f"has no points with x, y and z (an array of shape {x.shape}, {x.dtype})")
+        raise InputError(path, f"has no points with x, y and z (but an array of shape {x.shape}, {x.dtype})")
     numbers = {name: values for name, values in points.fields.items() if values.dtype.kind in "iufb"}
     return replace(points, x=np.ascontiguousarray(x, float), fields=numbers)
 
@@ -93,7 +93,7 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
         if count > len(lines):
-            raise ValueError(f"its first line states {count} points, {len(lines)} lines follow")
+            raise ValueError(f"its first line states {count} points, but {len(lines)} lines follow")
         text = "\n".join(lines[:count])
     table = read_table(text, columns)
     axes = {_AXES[name.lower()]: name for name in table.columns if name.lower() in _AXES}

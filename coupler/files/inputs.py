@@ -23,7 +23,7 @@ SCENE_LIMIT = 1_000_000  # bytes of a TOML file
 TEXT_LIMIT = 256 * 1024**2  # bytes of any other text
 DEPTH_LIMIT = 32  # tables within tables
 _WITHOUT_QUOTES = re.compile(r"=\s*[-+0-9.]+\s*[A-Za-z\u00b5%]")
-_TOO_DEEP = f"it is nested more than {DEPTH_LIMIT} deep"
+_TOO_DEEP = f"its tables are nested more than {DEPTH_LIMIT} levels deep"
 INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
@@ -34,7 +34,7 @@ _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[
 
 
 class InputError(StoreError):
-    """A file that cannot be read. reason: text without the name of the file."""
+    """Error: a file cannot be read. reason: text without the name of the file."""
 
     def __init__(self, path: str | Path, reason: str):
         self.path, self.reason = path, reason
@@ -45,7 +45,7 @@ class InputError(StoreError):
 
 
 class LimitError(StoreError):
-    """Not enough memory, address space or file descriptors for a request."""
+    """Error: there is not enough memory, address space or file descriptors."""
 
 
 def check_regular(path: str | Path) -> int:
@@ -57,14 +57,14 @@ def check_regular(path: str | Path) -> int:
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         raise InputError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if stat.S_ISDIR(status.st_mode):
-        raise InputError(path, "cannot be read: it is a folder, a file is expected")
+        raise InputError(path, "cannot be read: it is a folder, but a file is expected")
     if not stat.S_ISREG(status.st_mode):
-        raise InputError(path, "cannot be read: it is a pipe or a device, a regular file is expected")
+        raise InputError(path, "cannot be read: it is a pipe or a device, but a regular file is expected")
     return status.st_size
 
 
 def similar(path: str | Path, is_folder: bool = False) -> str:
-    """A hint such as ' (did you mean "first.toml"?)' for a path that does not exist; "" without a similar name."""
+    """A hint such as ' (did you mean "first.toml"?)' for a path that does not exist; "" if no name is similar."""
     try:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
@@ -84,7 +84,7 @@ def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
 
 
 def _too_large(path: str | Path, limit: int) -> InputError:
-    return InputError(path, f"is larger than {_bytes(limit)}, the most that is read: give another file")
+    return InputError(path, f"is larger than {_bytes(limit)}, the largest readable size: give a smaller file")
 
 
 def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
@@ -141,7 +141,7 @@ def line_of(text: str, problem: str) -> str:
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""
     line = lines[int(place[1]) - 1].strip()
-    hint = '; a value with its unit stands in quotes, such as "25 um"' if _WITHOUT_QUOTES.search(line) else ""
+    hint = '; write a value with its unit in quotes, such as "25 um"' if _WITHOUT_QUOTES.search(line) else ""
     shown = "".join(c if c.isprintable() else "?" for c in line[:60])
     return f": {shown}{hint}" if line else ""
 
@@ -152,7 +152,7 @@ def parse_json(text: str) -> object:
 
 
 def read_json_object(path: str | Path) -> dict[str, object]:
-    """The object in a JSON file. Raises InputError."""
+    """The JSON object that a file holds, as a dict. Raises InputError."""
     try:
         data = parse_json(read_text(path))
     except ValueError as error:
@@ -257,7 +257,9 @@ def _check_own_limits() -> None:
         wanted = _LEAST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_LEAST_DESCRIPTORS, hard)
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         if wanted < _LEAST_DESCRIPTORS:
-            raise LimitError(f"only {hard} open files are allowed, {_LEAST_DESCRIPTORS} are needed: raise ulimit -n")
+            raise LimitError(
+                f"only {hard} open files are allowed, but {_LEAST_DESCRIPTORS} are needed: raise it with ulimit -n"
+            )
     for limit, least, words, option in (
         (resource.RLIMIT_FSIZE, _LEAST_FILE, "files are limited", "-f"),
         (resource.RLIMIT_AS, _LEAST_ADDRESS_SPACE, "the address space is limited", "-v"),

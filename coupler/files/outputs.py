@@ -27,7 +27,7 @@ def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (),
     inputs: files and run folders that the command reads, which are never replaced; force: replace a file that this program did not
     write. Raises StoreError."""
     if path.suffix.lower() not in suffixes:
-        raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}, use {' or '.join(suffixes)}")
+        raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}; use {' or '.join(suffixes)}")
     if not path.parent.exists():
         raise StoreError(f"cannot write {path}: there is no folder {path.parent}")
     check_folder(path.parent)

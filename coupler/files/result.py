@@ -40,7 +40,7 @@ class Result:
         if not self.directory.is_dir():
             of_scene = "; a scene's results are in runs/NAME" if self.directory.is_file() else ""
             raise StoreError(
-                f"{directory} is not a folder of results{of_scene or similar(Path(directory), is_folder=True)}"
+                f"{directory} is not a results folder{of_scene or similar(Path(directory), is_folder=True)}"
             )
         known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
@@ -153,7 +153,7 @@ class Result:
         with opened(path) as root:
             times = times_of(root)
             if not -len(times) <= step < len(times):
-                raise IndexError(f"{path} has {len(times)} steps, there is no step {step}")
+                raise IndexError(f"{path} has {len(times)} stored steps; there is no step {step}")
             return read_step(root, step % len(times), times)
 
     def mesh(self, step: int = -1, domain: str = "particle") -> "pyvista.UnstructuredGrid":
@@ -195,7 +195,7 @@ class Result:
         if written != len(values):
             path = self.directory / HISTORY
             raise StoreError(
-                f"{path} is damaged: it has {len(values)} rows, the run wrote {written} rows: compute the run again"
+                f"{path} is damaged: it has {len(values)} rows, but the run wrote {written} rows; compute the run again"
             )
         table = {name: values[:, number].copy() for number, name in enumerate(names)}
         if column is None:
@@ -227,7 +227,7 @@ class Result:
 
     def _path(self, domain: str) -> Path:
         if domain not in (*DOMAINS, COLD):
-            raise ValueError(f"unknown domain {domain!r}, have {', '.join((*DOMAINS, COLD))}")
+            raise ValueError(f"unknown domain {domain!r}; known domains: {', '.join((*DOMAINS, COLD))}")
         return self.directory / f"{domain}.vtkhdf"
 
 

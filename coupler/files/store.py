@@ -98,8 +98,8 @@ class Store:
         return StoreState(steps, list(self._columns), history)
 
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """Reset the files to an earlier `state`; None: to empty files. New files replace the old ones once they are complete, so
-        that an interruption loses nothing. A damaged file is started again, with a line to log(text)."""
+        """Reset the files to an earlier `state`, or to empty files if it is None. New files replace the old ones only when they are
+        complete, so that an interruption loses nothing. A damaged file is started again; log(text) receives a line about it."""
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # it exists if the run was undecided
             (self.directory / SUMMARY).unlink(missing_ok=True)
@@ -141,7 +141,7 @@ class Store:
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
-            end = f"the file starts again at the checkpoint, the old file is kept as {kept.name}"
+            end = f"a new file starts at the checkpoint; the old file is kept as {kept.name}"
             log(f"{path} cannot be read ({error}): {end}")
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
@@ -153,7 +153,7 @@ class Store:
         """Append one time step to `DIR/<domain>.vtkhdf`. domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or
         "cold" (tetrahedra (m, 4)). Other arguments as for `VtkHdfWriter.write`. Raises StoreError, such as for a full disk."""
         if domain not in (*DOMAINS, COLD):
-            raise ValueError(f"unknown domain {domain!r}, have {(*DOMAINS, COLD)}")
+            raise ValueError(f"unknown domain {domain!r}; known domains: {(*DOMAINS, COLD)}")
         path = self.directory / f"{domain}.vtkhdf"
         with _named(path):
             if domain not in self._writers:
@@ -169,7 +169,7 @@ class Store:
                 self._history = open(path, "w", encoding="ascii")  # noqa: SIM115  (closed by close)
                 self._history.write(_line(self._columns))
             if row.keys() != set(self._columns):
-                raise ValueError(f"history has the columns {self._columns}, got {list(row)}")
+                raise ValueError(f"the history has the columns {self._columns}, but the new row has {list(row)}")
             values = [float(row[name]) for name in self._columns]
             self._history.write(_line(values))
             self._history.flush()
@@ -191,7 +191,7 @@ class Store:
             write_text(self.directory / SUMMARY, json.dumps(json.loads(plain), indent=2) + "\n")
 
     def close(self) -> None:
-        """Close all files. Errors are ignored: a failed write has already raised."""
+        """Close all files. Errors during closing are ignored, because a failed write has already raised an error."""
         with contextlib.suppress(Exception):
             if self._history is not None:
                 self._history.close()
@@ -217,10 +217,10 @@ class WithoutFields(Store):
     """The folder of a run that needs only a summary: fields and history are not written."""
 
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
-        """Write nothing."""
+        """Ignore a time step: nothing is written."""
 
     def record(self, row: Mapping[str, float]) -> None:
-        """Write nothing."""
+        """Ignore a row of the history: nothing is written."""
 
 
 def _line(cells: Iterable[str | float]) -> str:
@@ -250,7 +250,7 @@ def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        where, kept = ("to the folder ", "") if is_folder else ("", "; steps written before are kept")
+        where, kept = ("to the folder ", "") if is_folder else ("", "; steps that were written before are kept")
         raise StoreError(f"cannot write {where}{path}: {_reason(error)}{kept}") from error
 
 

@@ -33,7 +33,8 @@ def read_summary(path: Path) -> Summary:
     form, version = data.get("format", 1), str(data.get("version", "unknown"))[:40]
     if form != FORMAT:
         raise StoreError(
-            f"{path} has format {str(form)[:40]} (version {version}), this version reads format {FORMAT}: open it with that version,"
+            f"{path} has format {str(form)[:40]} (version {version}), but this version reads format {FORMAT}:"
+            f" open it with that version,"
             " or compute the scene again"
         )
     if (problem := problem_of(data)) is not None:

@@ -26,7 +26,7 @@ _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_CUT_OFF = "it is damaged or incomplete: write it again"
+_CUT_OFF = "the file is damaged or incomplete: write it again"
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
 Column = tuple[str, str, str]  # property in PLY: name, type of its values, type of their count or "" for one value
@@ -37,7 +37,7 @@ def read_surface(path: Path) -> Surface:
     triangles. A file that has only points gives no triangles. Raises InputError, LimitError."""
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
-        raise InputError(path, f"is not a file of a surface: its name must end in {', '.join(SURFACES)}")
+        raise InputError(path, f"is not a surface file: its name must end in {', '.join(SURFACES)}")
     if size > LARGEST_SURFACE:
         raise InputError(path, f"is larger than {LARGEST_SURFACE // 1024**2} MiB: decimate the surface")
     require_memory(_MEMORY * size, f"to read {path}")
@@ -51,8 +51,9 @@ def read_surface(path: Path) -> Surface:
 
 
 def _stl(raw: bytes) -> Surface:
-    """A file with facets in text is a text STL; else it is binary: 84 bytes with the number of triangles in the last four, and 50 bytes
-    for each triangle. Both can begin with "solid". Bytes after the triangles are ignored."""
+    """Points and triangles of an STL file. A file that contains facets as text is a text STL. Any other file is binary: 84 bytes, the
+    last four of which are the number of triangles, then 50 bytes for each triangle. Both kinds can begin with "solid". Bytes after
+    the triangles are ignored."""
     lines = raw.replace(b"\r", b"\n")
     if (facets := len(_FACET.findall(lines))) > 0:
         corners = np.array([[float(word) for word in words] for words in _VERTEX.findall(lines)]).reshape(-1, 3)
@@ -62,7 +63,7 @@ def _stl(raw: bytes) -> Surface:
         count = int.from_bytes(raw[80:_HEAD], "little")
         room = (len(raw) - _HEAD) // _STL.itemsize
         if room < 1:
-            raise ValueError("it is neither a text STL with facets nor long enough for a binary STL")
+            raise ValueError("it is not a text STL with facets, and too short for a binary STL")
         if not room - 1 <= count <= room:
             raise ValueError(f"its header states {count} triangles, its {len(raw)} bytes hold {room}; {_CUT_OFF}")
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
@@ -70,8 +71,8 @@ def _stl(raw: bytes) -> Surface:
 
 
 def _obj(raw: bytes) -> Surface:
-    """Points ("v") and polygons ("f") of a text. The first number of a corner, such as 3/1/7, is the index of its point: from 1, or
-    negative, where -1 is the last point above the line."""
+    """Points ("v") and polygons ("f") of the text of an OBJ file. The first number of a corner, such as 3/1/7, is the index of its
+    point. It counts from 1; a negative index counts backwards, where -1 is the last point above the line."""
     points: list[list[float]] = []
     polygons: list[list[int]] = []
     text = re.sub(r"\\\r?\n", " ", raw.decode("utf-8-sig", errors="replace"))  # continued lines
@@ -85,13 +86,14 @@ def _obj(raw: bytes) -> Surface:
                 corners = [int(word.partition("/")[0]) for word in words]
                 polygons.append([i - 1 if i > 0 else i + len(points) if i < 0 else -1 for i in corners])
         except ValueError:
-            needs = "a point needs three numbers, a face whole numbers"
+            needs = "a point needs three numbers, and a face needs whole numbers"
             raise ValueError(f"line {number}, {line[:60]!r}: {needs}") from None
     return _triangles(np.array(points).reshape(-1, 3), polygons)
 
 
 def _ply(raw: bytes) -> Surface:
-    """The elements "vertex" and "face" of a text or binary file (Turk 1994, The PLY Polygon File Format); others are ignored."""
+    """Points and polygons of a text or binary PLY file: its elements "vertex" and "face" (Turk 1994, The PLY Polygon File Format).
+    Other elements are ignored."""
     head = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\r|\n)", raw)
     if not raw.startswith(b"ply") or head is None:
         raise ValueError("its header is missing or not terminated")

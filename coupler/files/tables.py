@@ -39,9 +39,9 @@ def read_any_text(path: Path, limit: int) -> str:
 
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
-    """The table in a text. names: names of the columns in their order, "-" leaves one out; default: the names above the numbers.
-    axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line of the
-    fault."""
+    """Read the table in a text. names: names of the columns in their order, where "-" leaves a column out; default: the names above
+    the numbers. axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line of
+    the error."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -57,20 +57,20 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
     if names is None:
         above = {line: _titles(line, separator, len(rows[0])) for line in lines[:first] if line}
         left_out = [line for line, titles in above.items() if titles is None and not line.startswith(_COMMENT)]
-        notes += [f"a line above the numbers is left out: {line[:60]!r}" for line in left_out]
+        notes += [f"a line above the numbers is ignored: {line[:60]!r}" for line in left_out]
         names = next((titles for titles in reversed(above.values()) if titles is not None), None)
         if names is None:
             x, told = _unnamed(columns, axes)
             return Table(x, {}, [*notes, *told])
     if len(names) > len(rows[0]):
-        raise ValueError(f"it has {len(rows[0])} columns, {len(names)} names are given")
+        raise ValueError(f"it has {len(rows[0])} columns, but {len(names)} names are given")
     given = [_UNIT.search(name) for name in names]
     plain = [_UNIT.sub("", name).strip() for name in names]
     wanted = [(k, name) for k, name in enumerate(plain) if name != "-"]
     if len({name.lower() for _, name in wanted}) < len(wanted):
         raise ValueError("two of its columns have the same name: name them with --columns, where - leaves a column out")
     words = [(name, rows[0][k][:30]) for k, name in wanted if k not in columns]
-    notes += [f"column {name!r} left out: {word!r} is not a number" for name, word in words]
+    notes += [f"column {name!r} is left out: {word!r} is not a number" for name, word in words]
     taken = {name: columns[k] for k, name in wanted if k in columns}
     units = {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}
     return Table(taken, units, notes)
@@ -114,7 +114,7 @@ def _values(
     comma = any("," in word for column in words for word in column)
     point = any("." in word for column in words for word in column)
     if comma and point:
-        raise ValueError("it has numbers with a decimal comma and with a decimal point: use one of them")
+        raise ValueError("it has numbers with a decimal comma and with a decimal point: use only one of these forms")
     if separator == "," and not comma and not point and len(of_numbers) >= 6 and len(of_numbers) % 2 == 0:
         raise ValueError("its commas may separate columns or be decimal commas: separate the columns by semicolons")
     columns = {}
@@ -148,9 +148,9 @@ def _unnamed(columns: dict[int, NDArray[np.float64]], axes: str) -> tuple[dict[s
         places = places[1:]
     count = len(axes)
     if len(places) < count:
-        raise ValueError(f"beside a column that counts the lines, it needs {_listed(axes, 'columns')}")
+        raise ValueError(f"besides a column that counts the lines, the table needs {_listed(axes, 'columns')}")
     used = ", ".join(str(k + 1) for k in places[:count])
-    told = f"columns {used} are used as {', '.join(axes)}, the others left out: name them with --columns"
+    told = f"columns {used} are used as {', '.join(axes)}, the others are left out: name the columns with --columns"
     return dict(zip(axes, (columns[k] for k in places[:count]), strict=True)), [told] if len(columns) > count else []
 
 

@@ -76,7 +76,7 @@ class VtkHdfWriter:
         self._chunks: dict[tuple[str, int], tuple[bytes, bytes]] = {}
 
     def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
-        """Append one step.
+        """Append one time step to the file.
 
         time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points; they are stored again only if they change. data: first
         at points, then in cells: name -> (n,) or (n, k); integers stay integers; (n, 6) are symmetric tensors xx yy zz xy yz xz, as
@@ -84,7 +84,7 @@ class VtkHdfWriter:
         the file then accepts no more steps and keeps the earlier ones.
         """
         if not self._file:
-            raise OSError(errno.EBADF, "closed, or given up after an earlier error")
+            raise OSError(errno.EBADF, "the file is closed, perhaps after an earlier error")
         try:
             self._append_step(time, np.ascontiguousarray(points, np.float64), cells, *(*data, {}, {})[:2])
         except (OSError, RuntimeError):  # HDF5 reports some failed writes as RuntimeError
@@ -93,7 +93,7 @@ class VtkHdfWriter:
 
     @property
     def steps(self) -> int:
-        """Number of steps in the file."""
+        """Number of time steps in the file."""
         return self._state.steps
 
     def close(self) -> None:
@@ -244,7 +244,7 @@ def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
     with opened(path) as old:
         times = times_of(old)
     if len(times) < steps:
-        raise IndexError(f"{path} has {len(times)} steps, {steps} are needed")
+        raise IndexError(f"{path} has {len(times)} steps, but {steps} are needed")
     writer = VtkHdfWriter(new)
     try:
         for step in range(steps):

@@ -1,4 +1,4 @@
-"""Connected parts of a graph."""
+"""Search for the connected parts of a graph."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -44,7 +44,7 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
                 signal.SIGPIPE, signal.SIG_IGN
             )  # Python's default; with gmsh's a broken pipe ends the process
     if len(nodes) == 0:
-        raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
+        raise SolverError("gmsh made no tetrahedra: choose smaller elements or a larger substrate")
     lookup = np.zeros(int(tags.max()) + 1, np.int64)
     lookup[tags.astype(np.int64)] = np.arange(len(tags))
     tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)

@@ -31,7 +31,7 @@ def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
     index = first[cKDTree(x[first]).query(x[first], k=2)[0][:, 1] <= LONELY * spacing]
     if len(index) < LEAST_KEPT * len(x):  # another fault, such as a wrong spacing
         return np.arange(len(x)), []
-    counts = {"points on top of others": len(x) - len(first), "points far from all others": len(first) - len(index)}
+    counts = {"duplicate points": len(x) - len(first), "points far from all others": len(first) - len(index)}
     return index, [f"{count} {kind} left out" for kind, count in counts.items() if count]
 
 

@@ -41,7 +41,7 @@ class RaySurface:
         self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
-        """Scaled points as a tensor of open3d."""
+        """The points x, scaled, as an open3d tensor in single precision."""
         return self._tensor(np.ascontiguousarray((x - self.middle) / self.unit, np.float32))
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:

@@ -48,16 +48,16 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     parts = np.flatnonzero(area > FRAGMENT * area.sum())
     if len(parts) > 1:
         raise SplatError(
-            f"the surface consists of {len(parts)} separate parts (bodies or cavities): give one body without cavities"
+            f"the surface consists of {len(parts)} separate parts (bodies or cavities): give a single body without cavities"
         )
     mesh.remove_triangles_by_mask(label != parts[0])
     mesh.remove_unreferenced_vertices()
     if not mesh.is_edge_manifold():
-        raise SplatError("the surface bounds no solid: an edge has more than two triangles")
+        raise SplatError("the surface does not enclose a solid: an edge has more than two triangles")
     if not mesh.orient_triangles():
-        raise SplatError("the surface bounds no solid: its triangles cannot all be turned outwards")
+        raise SplatError("the surface does not enclose a solid: its triangles have no consistent orientation")
     if problem := open_or_double(np.asarray(mesh.triangles, np.int64)):
-        raise SplatError(f"the surface bounds no solid: {problem}")
+        raise SplatError(f"the surface does not enclose a solid: {problem}")
     many = len(mesh.triangles)
     if many > MOST_TRIANGLES:
         mesh = mesh.simplify_quadric_decimation(MOST_TRIANGLES)
@@ -69,7 +69,8 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
         if many <= MOST_TRIANGLES:
             raise
         raise SplatError(
-            f"the surface has {many} triangles and is damaged when reduced to {MOST_TRIANGLES} ({problem}): give fewer triangles"
+            f"the surface has {many} triangles and becomes invalid when it is reduced to {MOST_TRIANGLES}"
+            f" triangles ({problem}): give fewer triangles"
         ) from None
     volume = enclosed_volume(x, t)
     if volume < 0.0:
@@ -103,7 +104,7 @@ def check_solid(points: NDArray, triangles: NDArray) -> None:
     ):
         problem = "triangles pass through each other"
     if problem:
-        raise SplatError(f"the surface bounds no solid: {problem}")
+        raise SplatError(f"the surface does not enclose a solid: {problem}")
 
 
 def _intersect(pair: NDArray) -> bool:

@@ -12,13 +12,13 @@ FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 def volumes(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
-    """Signed volumes (m,)."""
+    """Signed volumes (m,) of the tetrahedra."""
     edges = points[tets[:, 1:]] - points[tets[:, :1]]
     return np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
 
 
 def gradients(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
-    """Gradients (m,3,3) of the barycentric coordinates of corners 1 to 3."""
+    """Gradients (m,3,3) of the barycentric coordinates of corners 1 to 3 in each tetrahedron."""
     return np.linalg.inv(points[tets[:, 1:]] - points[tets[:, :1]]).transpose(0, 2, 1)
 
 
@@ -39,7 +39,7 @@ def lumped(tets: NDArray, weight: NDArray, n: int) -> NDArray:
 
 
 def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
-    """Faces (k,3) of only one tetrahedron, and the tetrahedron (k,) of each.
+    """Faces (k,3) that belong to only one tetrahedron, and this tetrahedron (k,).
 
     Normals are outwards if volumes are positive. Faces are in the order of `FACES`, then of the tetrahedra.
     """

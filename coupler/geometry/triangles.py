@@ -7,7 +7,7 @@ VOLUME_TOLERANCE = 1e-9  # relative, of a corrected volume
 
 
 def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
-    """Normal times area (m,3) of each triangle, by the right-hand rule."""
+    """Vector (m,3) of each triangle along its normal, by the right-hand rule, whose length is the area."""
     return 0.5 * np.stack(_normals(points, triangles), axis=1)
 
 
@@ -19,7 +19,7 @@ def _normals(points: NDArray, triangles: NDArray) -> list[NDArray[np.float64]]:
 
 
 def edges(triangles: NDArray) -> NDArray:
-    """The directed edges (3m,2): first from corner 0 to 1 of all triangles, then from 1 to 2, then from 2 to 0."""
+    """The directed edges (3m,2) of the triangles: first all edges from corner 0 to 1, then from 1 to 2, then from 2 to 0."""
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
@@ -31,20 +31,20 @@ def compact(points: NDArray, cells: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def areas(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
-    """Areas (m,)."""
+    """Areas (m,) of the triangles."""
     x, y, z = _normals(points, triangles)
     return 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
 def areas_and_normals(points: NDArray, triangles: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Areas (m,) and unit normals (m,3)."""
+    """Areas (m,) and unit normals (m,3) of the triangles."""
     vectors = area_vectors(points, triangles)
     area = np.linalg.norm(vectors, axis=1)
     return area, vectors / area[:, None]
 
 
 def surface_area(points: NDArray, triangles: NDArray) -> float:
-    """Area of all triangles together."""
+    """Sum of the areas of all triangles."""
     return float(areas(points, triangles).sum())
 
 
@@ -86,7 +86,7 @@ def open_or_double(triangles: np.ndarray) -> str:
     key, back = np.sort(first * many + last), np.sort(last * many + first)
     if (key[1:] == key[:-1]).any():
         return "an edge has more than two triangles"
-    return "" if (key == back).all() else f"{len(np.setdiff1d(key, back))} edges have one triangle"
+    return "" if (key == back).all() else f"{len(np.setdiff1d(key, back))} edges have only one triangle"
 
 
 def correct_volume(

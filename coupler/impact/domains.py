@@ -96,8 +96,8 @@ def build_domains(
 ) -> Domains:
     """Make the particle of impact i above the bodies (default: the bare substrate), and the contact between them. Starts LAMMPS.
 
-    log_file: of LAMMPS; numerics: values in place of the defaults of `particle.particle.Numerics`; ranks: default this process
-    alone; level: height (m) of the surface where the particle first touches it, default: from the positions of the bodies.
+    log_file: log file of LAMMPS; numerics: values in place of the defaults of `particle.particle.Numerics`; ranks: default this
+    process alone; level: height (m) of the surface where the particle first touches it, default: from the positions of the bodies.
     """
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
     impact_plan, t = plan.impacts[i], plan.target

@@ -278,7 +278,7 @@ class Impact(Course):
         put(state.course, self)
         self.ledger, self.exposure, self.bonds = state.ledger, state.exposure, None
         if self.exposure is not None and len(self.exposure.clean) != self.surface.weights.shape[0]:
-            raise unfit("the particle has another surface")
+            raise unfit("the surface of the particle has another number of vertices")
         if state.bonds is not None:
             check_indices(state.bonds, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
             self.bonds = ParticleBonds(state.bonds, *self._rings)

@@ -86,12 +86,13 @@ class Ledger:
         drift, error = self.rows["drift"], self.rows["momentum_error"]
         if not abs(drift) <= bound:
             raise SolverError(
-                f"energy is not conserved: the energy ledger has an error of {drift:+.2%} of the initial kinetic energy, "
-                f"allowed {bound:.2%}. The files in the output folder are not a result: try a finer preset"
+                f"energy is not conserved: the sum of all energies has changed by {drift:+.2%} of the initial kinetic energy, but "
+                f"the limit is {bound:.2%}. The files in the output folder are not a valid result: try a finer preset"
             )
         if not error <= MOMENTUM_BOUND:
             raise SolverError(
-                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}: try a finer preset"
+                f"momentum is not conserved: it has changed by {error:.1e} of the initial momentum, limit"
+                f" {MOMENTUM_BOUND:.0e}: try a finer preset"
             )
 
     def check_closure(self) -> None:
@@ -103,7 +104,7 @@ class Ledger:
         )
         if dissipated < DISSIPATION_BOUND or unexplained < 2.0 * DISSIPATION_BOUND:
             raise SolverError(
-                f"the SPH scheme generated {-min(dissipated, unexplained):.2%} of the initial kinetic energy: it is unstable; "
+                f"the SPH scheme generated {-min(dissipated, unexplained):.2%} of the initial kinetic energy, because it is unstable: "
                 "try a finer preset"
             )
 

@@ -163,7 +163,7 @@ class Recorder:
         self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
-        """Present measures, SI."""
+        """Present measures of the impact, SI units."""
         level = impact.domains.level + self._flight(impact)
         m = measure(impact.domains, self.impact_plan.diameter, level)
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}

@@ -41,7 +41,7 @@ class Retry:
     numerics: dict[str, float]
 
     def __str__(self) -> str:
-        return f"retried at {self.time_s * 1e9:.2f} ns: {self.reason}; {self.remedy}, from the start of the impact"
+        return f"retried at {self.time_s * 1e9:.2f} ns: {self.reason}; the impact is computed again from its start with {self.remedy}"
 
 
 def next_retry(

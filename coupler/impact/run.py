@@ -131,11 +131,11 @@ class _Attempt:
         retries: Sequence[Retry],
         level: float | None,
     ):
-        """bodies, level: as in `build_domains`. Starts LAMMPS."""
+        """Build the domains and start LAMMPS. bodies, level: as in `build_domains`."""
         p = plan.impacts[i]
         self.plan, self.i, self.options, self.retries = plan, i, options, retries
         options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
-        options.progress.stage("building the particle")
+        options.progress.stage("making the particle")
         numerics = retries[-1].numerics if retries else options.numerics
         self.domains = build_domains(plan, i, bodies, options.log_file, numerics, options.ranks, level)
         self.impact = Impact(self.domains)

@@ -19,7 +19,7 @@ class StopSignals:
     number = 0
 
     def note(self, number: int, _frame: FrameType | None) -> None:
-        """Handle a signal."""
+        """Record a received signal."""
         if self.number:
             raise KeyboardInterrupt
         self.number = number

@@ -60,7 +60,7 @@ def summarise(
     end: Values = {**measured}
     if not ending.settled(impact.time) and not is_lost:
         own |= {"verdict": UNDECIDED, "verdict_by": None, "verdict_is_close": False, **dict.fromkeys(_NEED_VERDICT)}
-        own["verdict_rests_on"] = undecided or "the contact has not come to an end"
+        own["verdict_rests_on"] = undecided or "the particle is still in contact"
         own |= {"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}
     missing = [key for key in ("rebounded", "restitution", "rebound_velocity_m_s") if own[key] is None]
     refused = dict.fromkeys(missing, STUCK if own["verdict"] == STICKS else str(own["verdict_rests_on"]))
@@ -129,13 +129,13 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
         share = share_inside_itself(impact.folding.surface, impact.particle.x)
         if share > INSIDE_ITSELF:
             beyond.append(
-                f"impact {number}: {share:.1%} of the particle's points lie in another part of it: its shape and strain are"
-                " wrong there: try a finer preset"
+                f"impact {number}: {share:.1%} of the particle's points lie inside another part of it, where shape and strain are"
+                " wrong: try a finer preset"
             )
     if recorder.seen.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
-            " but a real substrate is wider: increase substrate.diameter"
+            " while a real substrate is wider: increase substrate.diameter"
         )
     if recorder.seen.at_rim:
         beyond.append(
@@ -159,8 +159,9 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
         if molten.any():
             worst = int(np.argmax(T / T_m))
             warnings.append(
-                f"impact {recorder.i + 1}: the {name} went beyond melting, to {T[worst]:.0f} K where it melts at {T_m[worst]:.0f} K"
-                f" ({share[molten].sum():.2%} of the particle's volume): the law has no latent heat and no melt"
+                f"impact {recorder.i + 1}: the {name} has reached {T[worst]:.0f} K,"
+                f" above its melting point of {T_m[worst]:.0f} K"
+                f" ({share[molten].sum():.2%} of the particle's volume): the material law has no latent heat and no melt"
             )
     return warnings
 

@@ -22,7 +22,7 @@ class Touching:
 
     @cached_property
     def area(self) -> np.ndarray:
-        """Area (v,) m2 of all vertices of the surface."""
+        """Area (v,) m2 of each vertex of the particle's surface."""
         surface = self._domains.surface
         return vertex_areas(surface.positions(self._domains.particle.x), surface.triangles)
 
@@ -38,7 +38,7 @@ class Touching:
 
     @cached_property
     def strength(self) -> np.ndarray:
-        """Flow stress (k,) Pa, see `softer_strength`."""
+        """Flow stress (k,) Pa of the softer metal at each vertex in contact (`softer_strength`)."""
         return softer_strength(self._domains, self.rows, self.facets)
 
     @property

@@ -46,7 +46,7 @@ def _percentile(values: np.ndarray) -> float:
 
 @dataclass
 class Extremes:
-    """The extremes of particle and target."""
+    """The largest values of particle and target, for the check of validity."""
 
     particle: Extreme = field(default_factory=Extreme)
     target: Extreme = field(default_factory=Extreme)
@@ -66,12 +66,12 @@ class Extremes:
             left += _beyond_fit(body, metal, kept)
             limit = greatest_compression(metal, mie_gruneisen)
             if kept.compression > limit:
-                shock, linear = "the fit of the shock equation of state", "what a linear equation of state is good for"
+                shock, linear = "the fit of the shock equation of state", "the range of a linear equation of state"
                 law = shock if mie_gruneisen else linear
                 GPa = pressure(metal, kept.compression) / 1e9
                 texts.append(
-                    f"{where} the volume went down by {kept.compression:.1%}, {GPa:.3g} GPa, beyond {law}"
-                    f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
+                    f"{where} the compression is {kept.compression:.1%} ({GPa:.3g} GPa), beyond {law}"
+                    f" (up to {limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
                 )
         return [f"impact {impact}: {BEYOND_FIT}: {'; '.join(left)}", *texts] if left else texts
 
@@ -82,13 +82,13 @@ def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
     fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
     if kept.rate > metal.fitted_rate:
-        parts.append(f"strain rate {kept.rate:.1e} 1/s (99 %; fitted to {metal.fitted_rate:.0e})")
+        parts.append(f"strain rate {kept.rate:.1e} 1/s (99th percentile; fitted up to {metal.fitted_rate:.0e})")
     if fitted.temperature and T > fitted.temperature[1]:
-        parts.append(f"{T:.0f} K (to {fitted.temperature[1]:.0f} K)")
+        parts.append(f"{T:.0f} K (fitted up to {fitted.temperature[1]:.0f} K)")
     elif kept.melting > NEAR_MELTING:
-        parts.append(f"{kept.melting:.2f} of the melting point (to {NEAR_MELTING:g})")
+        parts.append(f"{kept.melting:.2f} of the melting point (valid up to {NEAR_MELTING:g})")
     if fitted.strain and kept.strain > fitted.strain:
-        parts.append(f"strain {kept.strain:.2g} (99 %; to {fitted.strain:g})")
+        parts.append(f"strain {kept.strain:.2g} (99th percentile; fitted up to {fitted.strain:g})")
     return [f"{body} ({metal.name}, {metal.strength.set or metal.strength.law}) {', '.join(parts)}"] if parts else []
 
 

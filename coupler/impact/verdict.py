@@ -24,9 +24,9 @@ class Verdict:
     `measures.VERDICT_BY`.
 
     rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals,
-    disagree and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" without
-    bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds: positive, the energy that they can still
-    absorb, and the velocity of the particle with this energy; or negative, energy and velocity of the particle off the surface.
+    disagree and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if there
+    are no bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds: positive, the energy that they can
+    still absorb, and the velocity of the particle with this energy; or negative, energy and velocity of the particle off the surface.
     With a criterion of velocity: energy and velocity of the impact less the critical ones. None if nothing was compared. is_close:
     the margin of computed bonds is within the scatter due to the placement of points and elements.
     """
@@ -48,13 +48,13 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds:
         decided = _by_bonds(mass, upwards, bonds)
         scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
         if decided.margin_J is not None and abs(decided.margin_J) < scatter:
-            words = f"{decided.rests_on}; the margin is so small that another placement of points and elements can change the verdict"
+            words = f"{decided.rests_on}; the margin is so small that other positions of points and elements can change the verdict"
             decided = replace(decided, rests_on=words, is_close=True)
         return _with_formula(decided, impact)
     if law.kind == "tied" and law.criterion == "velocity":
         return _by_velocity(law, impact, mass, upwards)
     if law.kind == "tied":
-        words = "the scene, which ties all particles that touch; no bond was computed"
+        words = "the scene, which ties all particles that touch the target; bonds are not computed"
         return Verdict(STICKS, words, BY_SCENE, rebounded=False)
     return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
 
@@ -87,7 +87,7 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
         return _unheld("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
     motion = 0.5 * mass * max(upwards, 0.0) ** 2
     if upwards > REBOUND and bonds.gives_way(motion):
-        left = f"the {whole} of {len(bonds.bond)} bonds that hold can take up {bonds.bond.resistance.sum() / motion:.0%} of its energy"
+        left = f"the {whole} of {len(bonds.bond)} bonds that hold can absorb {bonds.bond.resistance.sum() / motion:.0%} of its energy"
         return _unheld(left, BY_BONDS, mass, upwards)
     if whole < FEWEST:
         few = f"only {whole} of {len(bonds.bond)} bonds {'hold' if whole > 1 else 'holds'}"
@@ -109,10 +109,10 @@ def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float)
     metal decides whether the scene ties the particle."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
-    words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)
+    words, margin = f"{formula.words(velocity, law.limit)}; bonds are not computed", formula.margin(velocity, law.limit)
     rebounded = None if ratio is None else False if ratio >= law.limit else True if upwards > REBOUND else None
     if verdict == REBOUNDS and rebounded is None:
-        return Verdict(UNDECIDED, f"{words}, and it does not move off ({upwards:.2g} m/s)", BY_FORMULA)
+        return Verdict(UNDECIDED, f"{words}, and it does not leave the target (velocity {upwards:.2g} m/s)", BY_FORMULA)
     if margin is None:
         return Verdict(verdict, words, BY_FORMULA, rebounded)
     energy = 0.5 * mass * (velocity**2 - (velocity - margin) ** 2)
@@ -122,8 +122,8 @@ def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float)
 def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
     """The verdict on a particle without bonds: "rebounds" if it is faster than REBOUND, else "undecided"."""
     if upwards <= REBOUND:
-        return Verdict(UNDECIDED, f"{reason}, and it does not move off ({upwards:.2g} m/s)", by)
-    words, energy = f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2
+        return Verdict(UNDECIDED, f"{reason}, and it does not leave the target (velocity {upwards:.2g} m/s)", by)
+    words, energy = f"{reason}, it leaves the target at {upwards:.3g} m/s", -0.5 * mass * upwards**2
     return Verdict(REBOUNDS, words, by, rebounded=True, margin_J=energy, margin_m_s=-upwards)
 
 
@@ -135,8 +135,8 @@ def verdict_values(
     is_lost: the particle has slid over the rim of the target, and rebounds in any case. rebound_velocity_m_s: velocity of the centre
     of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact divided
     by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
-    verdict_by_bonds: of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that still
-    holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
+    verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that
+    still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
     decided = lost if is_lost else judge(law, impact, mass, upwards, bonds)

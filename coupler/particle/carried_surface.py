@@ -24,7 +24,8 @@ BESIDE = 1.0  # spacings: a point closer to a vertex than this lies under it, in
 
 
 class CarriedSurface:
-    """Surface of a body of points X (n,3) m with the given spacing: vertices (k,3) m and triangles (m,3) of the undeformed body."""
+    """Surface that the points X (n,3) m of a body carry. vertices (k,3) m, triangles (m,3): surface of the undeformed body; spacing
+    (m): spacing of the points."""
 
     def __init__(self, X: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, spacing: float):
         self.triangles = triangles

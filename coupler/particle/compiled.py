@@ -160,11 +160,11 @@ class CompiledParticle(Particle):
         )
 
     def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
-        """Pass 1 in all threads. Writes the first point that fails in each part to failed (PARTS,)."""
+        """Do pass 1 in all threads. Writes the first point that fails in each part of the points to failed (PARTS,)."""
         together(k.stress_of_all, self.n, failed, of_points)
 
     def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
-        """Pass 2 and the sums of the forces, in all threads."""
+        """Do pass 2 and add up the forces, in all threads."""
         together(k.forces_of_all, self.n, (*of_pairs, self._force), of_sum)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:

@@ -107,7 +107,7 @@ def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
 def subdivide(corners: np.ndarray, faces: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """Divide each edge of a triangulated surface into `parts`; faces stay flat. Returns vertices (n,3), triangles (m,3).
 
-    corners (c,3): of the order of 1; vertices closer than 1e-9 are merged.
+    corners (c,3): corners, with coordinates of the order of 1; vertices closer than 1e-9 are merged.
     """
     i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
     weights = np.stack([parts - i - j, i, j], axis=1) / parts

@@ -299,7 +299,7 @@ class Particle(LocalState, ABC):
         share(lambda lo, hi: found.append(k.smallest_stretch(lo, hi, strain)), self.n, LEAST_POINTS)
         stretch, where = min(found)
         if not stretch > 0.02:
-            raise SolverError(self._failure(f"it is compressed to {stretch:.3g} of its length", where))
+            raise SolverError(self._failure(f"it is compressed to {stretch:.3g} of its initial length", where))
         self.stretch_min = float(stretch)
         return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
 
@@ -342,7 +342,7 @@ class Particle(LocalState, ABC):
         return carried(self.points)
 
     def state(self) -> LocalState:
-        """State of these points, for a checkpoint."""
+        """State of these points, as a record for a checkpoint."""
         return copied(self)
 
     def restore(self, state: LocalState, first: bool = True) -> None:
@@ -356,5 +356,5 @@ class Particle(LocalState, ABC):
             self.sums[:], self.internal_work = 0.0, 0.0
 
     def close(self) -> None:
-        """Close LAMMPS."""
+        """Close the LAMMPS instance of this rank."""
         self.lmp.close()

@@ -20,8 +20,8 @@ class Body:
     """A solid of uniform points around the origin. SI units.
 
     points (n,3); volume: volume of each point, which is the volume of the body divided by n; vertices (k,3), triangles (m,3): closed
-    outer surface, normals outwards; area: of this surface; half_height: depth of the lowest vertex below the centre; inner: vertices
-    and triangles of the surface of a cavity, normals into the cavity, or None.
+    outer surface, normals outwards; area: area of this surface; half_height: depth of the lowest vertex below the centre; inner:
+    vertices and triangles of the surface of a cavity, normals into the cavity, or None.
     """
 
     points: np.ndarray

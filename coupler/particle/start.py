@@ -85,7 +85,7 @@ def whole_process() -> Iterator[None]:
     LAMMPS needs a decimal point, and a graphical program can have changed the locale. Raises PlacementError if another run already
     controls them."""
     if not _computing.acquire(blocking=False):
-        raise PlacementError("this process computes another run: start each run in a process of its own")
+        raise PlacementError("this process computes another run: start each run in its own process")
     before = locale.setlocale(locale.LC_NUMERIC)
     try:
         locale.setlocale(locale.LC_NUMERIC, "C")

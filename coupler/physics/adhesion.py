@@ -38,7 +38,7 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
     """
     if material.sigma_TS is None:
         raise ColdsprayError(
-            f"{material.name} has no sigma_TS (tensile strength), which its critical velocity needs: "
+            f"{material.name} has no sigma_TS (tensile strength), which the formula of the critical velocity needs: "
             f'give it under [materials.{material.name}], as in sigma_TS = "400 MPa"'
         )
     T, T_m = temperature, material.T_m
@@ -87,11 +87,11 @@ class PairFormula:
             return f"no formula: {self.metal} has no tensile strength (sigma_TS)"
         head = "Schmidt's formula"
         if self.base_critical is None:
-            why = f"{self.base} has no sigma_TS" if self.base else "none is named"
-            head = f"{head} of the particle's metal; the substrate is not considered ({why})"
+            why = f"{self.base} has no tensile strength sigma_TS" if self.base else "the scene names none"
+            head = f"{head} of the particle's metal; the metal of the substrate is not considered ({why})"
         limits = " and ".join(f"{threshold * v:.0f} m/s ({name})" for name, v in self.known.items())
         speed = f"{velocity:.0f} m/s normal to the surface, " if velocity is not None else ""
-        disagree = ": the two metals disagree"
+        disagree = ": the results for the two metals disagree"
         split = velocity is not None and self.verdict(velocity, threshold) == UNDECIDED
         return f"{head}: {speed}critical {limits}{disagree if split else ''}"
 
@@ -233,13 +233,13 @@ class Adhesion:
                         f'{name} has no effect with criterion = "exposure": it depends on metal and oxide film'
                     )
             elif self.kind == "cohesive" and value is None and name in ("strength", "energy"):
-                problems.append(f'{name} is needed by kind = "cohesive"')
+                problems.append(f'{name} is missing: it is needed with kind = "cohesive"')
             elif self.kind != "cohesive" and value is not None:
                 problems.append(f'{name} has no effect with kind = "{self.kind}": leave it out, or choose "cohesive"')
             elif value is not None and not (value > 0.0 or (value == 0.0 and "energy" in name)):
                 problems.append(f"{name} must be positive{', or 0 for a brittle bond' if 'energy' in name else ''}")
         if self.criterion in ("plastic_strain", "pressure") and self.threshold is None:
-            problems.append(f'threshold is needed by criterion = "{self.criterion}"')
+            problems.append(f'threshold is missing: it is needed with criterion = "{self.criterion}"')
         if self.criterion == "exposure" and self.kind == "tied":
             problems.append('criterion = "exposure" needs kind = "cohesive": bonds by exposure have a strength')
         if self.threshold is not None and self.criterion in ("all", "exposure"):
@@ -253,7 +253,7 @@ class Adhesion:
             without = f'kind = "{self.kind}"' if self.kind != "cohesive" else 'criterion = "exposure"'
             problems.append(f"pair has no effect with {without}: leave it out, or choose another")
         if len(set(metals)) < len(metals):
-            problems.append("pair: two metals are named twice")
+            problems.append("pair: the same two metals occur twice; remove one of the tables")
         for pair in self.pairs if not problems else ():
             try:
                 self.between(*pair.metals)
@@ -302,7 +302,7 @@ class Adhesion:
     def words(self) -> str:
         """The law as one line of text."""
         if self.kind == "none":
-            return "none, contact and friction only"
+            return "none: only contact and friction"
         text: str = self.kind
         if self.criterion == "exposure":
             return f"{text}, by exposure and pressure, with the oxide films of the metals"
@@ -313,14 +313,14 @@ class Adhesion:
             text += f" ({of_shear} in shear)" if of_shear else ""
         reached = self.limit
         where = {
-            "all": "wherever they touch",
+            "all": "where nodes touch",
             "plastic_strain": f"where the plastic strain has reached {reached:g}",
             "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
             "velocity": "where the velocity reaches "
             + (f"{reached:g} of " if reached != 1.0 else "")
             + "the critical one",
         }
-        own = "".join(f"; {' on '.join(pair.metals)} by its own law" for pair in self.pairs)
+        own = "".join(f"; {' on '.join(pair.metals)} by a law of their own" for pair in self.pairs)
         return f"{text}, {where[self.criterion]}{own}"
 
     def law(self) -> dict[str, float]:

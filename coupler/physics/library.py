@@ -51,7 +51,7 @@ def read_record(
 
 
 def refuse(problems: list[str], name: str) -> None:
-    """Raise SceneError if there are problems. name: name of the record."""
+    """Raise SceneError if the list of problems is not empty. name: name of the record."""
     if problems:
         raise SceneError(problems, name)
 

@@ -113,7 +113,7 @@ class Material:
 
     @property
     def T_ref(self) -> float:
-        """Temperature without thermal softening, K."""
+        """Reference temperature of the strength law, below which there is no thermal softening, K."""
         return self.strength["T_ref"]
 
     @property
@@ -128,11 +128,11 @@ class Material:
         return self.strength.flow_stress(eps_p, rate, T, self.T_m, self.rho)
 
     def cp_at(self, T: float) -> float:
-        """Specific heat at T (K), J/(kg K)."""
+        """Specific heat of the metal at T (K), J/(kg K)."""
         return _interpolate(self.cp, T)
 
     def k_at(self, T: float) -> float:
-        """Conductivity at T (K), W/(m K)."""
+        """Thermal conductivity of the metal at T (K), W/(m K)."""
         return _interpolate(self.k, T)
 
     def thermal_expansion_at(self, T: float) -> float:
@@ -140,7 +140,8 @@ class Material:
         return _interpolate(self.thermal_expansion, T)
 
     def effusivity(self, T: float) -> float:
-        """sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K): the heat of a contact is divided between half-spaces in proportion to it."""
+        """Thermal effusivity sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K). The heat of a contact is divided between two half-spaces in
+        proportion to it."""
         return math.sqrt(self.k_at(T) * self.rho * self.cp_at(T))
 
     def initial_strain(self, hardness: float | None, yield_strength: float | None) -> float:
@@ -161,7 +162,7 @@ class Material:
             unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
             annealed, hardest = reached(low) / scale, reached(high) / scale
             raise ValueError(
-                f"is outside {annealed:.4g} to {hardest:.4g} {unit}, from the metal without plastic strain to a plastic strain of"
+                f"is outside {annealed:.4g} to {hardest:.4g} {unit}: this is the range from zero plastic strain to a plastic strain of"
                 f" {_HARDEST:g}, by the strength law of {self.name}, {self.strength.label}"
             )
         for _ in range(60):
@@ -272,12 +273,12 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
             f"eps_dot_high ({high:g} 1/s) must not be below eps_dot_0 ({low:g} 1/s): the metal would soften with the rate"
         )
     if metal.hardened_by_gradients and metal.burgers is None:
-        problems.append("taylor_alpha needs the Burgers vector: give burgers, too")
+        problems.append("taylor_alpha needs the Burgers vector: give also burgers")
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
     if not problems and not metal.flow_stress(0.0, 0.0, metal.T_ref) > 0.0:
         law = LAWS[strength.law].parameters
-        problems.append(f"{', '.join(law)} give no yield stress above zero at {metal.T_ref:g} K; it must be above zero")
+        problems.append(f"{', '.join(law)} give no positive yield stress at {metal.T_ref:g} K")
     library.refuse(problems, name)
     return metal
 

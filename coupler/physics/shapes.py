@@ -32,7 +32,7 @@ _CUBOCTAHEDRON_VOLUME = 20.0 / 3.0
 
 
 def sphere_volume(diameter: float) -> float:
-    """Volume of a sphere, m3. diameter: m."""
+    """Volume (m3) of a sphere with a given diameter (m)."""
     return math.pi / 6 * diameter**3
 
 

@@ -36,7 +36,7 @@ class Batch:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the sub-domain is the full target."""
+        """Whether the impact of this batch is computed on the full target, not on a sub-domain."""
         return math.isinf(self.cut)
 
 

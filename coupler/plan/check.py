@@ -48,15 +48,13 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
                     f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}",
                 )
         elif body.temperature > _HOTTEST * material.T_m:
-            text = (
-                f"must stay below {_HOTTEST:g} of the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
-            )
+            text = f"must be below {_HOTTEST:g} times the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
             yield _wrong(f"{where}.temperature", body.temperature, "K", text, f"{where}.material")
     known = [metal for _, body in bodies if (metal := catalogue.get(body.material)) is not None]
     if d.ambient is not None and known:
         metal = min(known, key=lambda metal: metal.T_m)
         if d.ambient > _HOTTEST * metal.T_m:
-            text = f"must stay below {_HOTTEST * metal.T_m:.0f} K, {_HOTTEST:g} of the melting point of {metal.name}"
+            text = f"must be below {_HOTTEST * metal.T_m:.0f} K, {_HOTTEST:g} times the melting point of {metal.name}"
             yield _wrong("end.ambient", d.ambient, "K", text)
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         yield from _hardness(where, particle, catalogue.get(particle.material))
@@ -66,7 +64,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     if scene.resolution.engine == "machdyn" and asked:
         yield (
             ("resolution.engine", "effects"),
-            "resolution.engine = machdyn: it has no gradients of plastic strain (gradient_hardening): use enriched or compiled",
+            "resolution.engine = machdyn: it computes no gradients of plastic strain (gradient_hardening): use enriched or compiled",
         )
     if asked and known and not any(metal.hardened_by_gradients for metal in known):
         yield (
@@ -79,7 +77,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
     if records > _MOST_RECORDS:
         least = units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, "ns")
-        text = f"would write {records:.3g} steps; at most {_MOST_RECORDS}, so at least {least}"
+        text = f"would write {records:.3g} steps; at most {_MOST_RECORDS} are possible: give at least {least}"
         looked = "end.time", *_fields(scene, "diameter", "velocity", "shape", "tilt")
         yield _wrong("output.every", d.output_every_of(scene.particle), "ns", text, *looked)
 
@@ -88,7 +86,7 @@ def _hardness(where: str, particle: Particle, material: Material | None) -> Iter
     """Check that the strength law of the metal can give the hardness or the yield strength of the powder."""
     field = "yield_strength" if particle.hardness is None else "hardness"
     if particle.hardness is not None and particle.yield_strength is not None:
-        yield (f"{where}.hardness", f"{where}.yield_strength"), f"{where}: give hardness or yield_strength, not both"
+        yield (f"{where}.hardness", f"{where}.yield_strength"), f"{where}: give only one of hardness and yield_strength"
     elif material is not None:
         try:
             material.initial_strain(particle.hardness, particle.yield_strength)
@@ -121,7 +119,7 @@ def _room(d: Derived) -> Iterator[Problem]:
         steepest, coarse = substrate.roughness / STEEPEST, _CELLS_OF_ROUGHNESS * d.element_size
         if substrate.roughness_length < max(steepest, coarse) * (1 - 1e-9):
             coarseness = f"not resolved by elements of {_um(d.element_size)}"
-            why = "steeper than meshes bear" if steepest > coarse else coarseness
+            why = "steeper than a mesh can represent" if steepest > coarse else coarseness
             text = f"the surface is {why}: give at least {_um(max(steepest, coarse))}, or a lower roughness"
             yield _wrong("substrate.roughness_length", substrate.roughness_length, "um", text, "substrate.roughness")
         if substrate.roughness > _DEEPEST * substrate.height:
@@ -140,7 +138,7 @@ def _room(d: Derived) -> Iterator[Problem]:
         if away and away > room:
             yield (
                 (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"),
-                f"{where}.offset: at {_um(away)} from the axis {_size(particle)} and its crater"
+                f"{where}.offset: at {_um(away)} from the axis, {_size(particle)} and its crater"
                 f" reach the target's edge; at most {_um(max(room, 0.0))} is possible",
             )
         if gap > D:
@@ -173,25 +171,25 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     given = f"resolution.spacing = {spacing}:"
     if scene.resolution.spacing is None:
         largest = max(scene.particles, key=lambda p: p.volume)
-        given = f'preset = "{scene.preset}": its finest spacing beside {_size(largest)}, {spacing},'
+        given = f'preset = "{scene.preset}": its finest spacing next to {_size(largest)}, {spacing},'
     if d.points_of(smallest) < estimates.LEAST_POINTS:
         widest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
         yield (
             needs,
             f"{given} gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed: give"
-            f" resolution.spacing, {_um(widest)} at most, or leave the smallest particles out",
+            f" resolution.spacing, at most {_um(widest)}, or leave the smallest particles out",
         )
     elif thinnest < estimates.LEAST_LAYERS * d.spacing:
         yield (
             (*needs, *_fields(scene, "shape")),
             f"{given} is too coarse for {_um(thinnest)}, the thinnest part of this {flattest.shape}: give"
-            f" resolution.spacing, {_um(thinnest / estimates.LEAST_LAYERS)} at most",
+            f" resolution.spacing, at most {_um(thinnest / estimates.LEAST_LAYERS)}",
         )
     coarsest = smallest.diameter / 4
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
         if requested is not None and requested > coarsest:
             feature = "crater" if field == "resolution" else "splat"
-            text = f"too coarse for the {feature} of {_size(smallest)}; at most {_um(coarsest)}"
+            text = f"too coarse for the {feature} of {_size(smallest)}; give at most {_um(coarsest)}"
             yield _wrong(f"{field}.element_size", requested, "um", text, *_fields(scene, "diameter"))
     # during the last impact all earlier splats are elements
     splats = sum(map(d.splat_elements_of, scene.particles[:-1]))
@@ -203,7 +201,7 @@ def _resolution(d: Derived) -> Iterator[Problem]:
         yield (
             (*needs, *offsets, *sizes),
             f"resolution: {d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about"
-            f" {memory / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB;"
+            f" {memory / 1e9:.3g} GB of memory, but this machine has {there / 1e9:.3g} GB;"
             " give a larger spacing and element_size, or a coarser preset",
         )
 

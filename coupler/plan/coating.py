@@ -52,7 +52,7 @@ class Fed:
 
     @property
     def mass(self) -> float:
-        """Mean mass of a particle, kg."""
+        """Mean mass of a particle of this powder, kg."""
         middles = (np.arange(_CLASSES) + 0.5) / _CLASSES
         return self.rho * math.fsum(sphere_volume(self.diameter(u)) for u in middles) / _CLASSES
 
@@ -69,7 +69,7 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
     there = raw.get("particle")
     if there is not None:
         if not isinstance(there, list) or len(there) != table.number:
-            return ["coating: the scene also has particles: remove the table [coating] or the particles"]
+            return ["coating: the scene has both [coating] and particles: remove one of them"]
         return []
     fed, problems = list[Fed](), list[str]()
     for i, powder in enumerate(table.powders, 1):
@@ -94,7 +94,7 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
     if powder.material not in catalogue:
         raise ValueError(f'material = "{powder.material[:40]}": {unknown(powder.material[:40], catalogue)}')
     if powder.files and not files:
-        raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} has such a name')
+        raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} has a name of this form')
     rho = catalogue[powder.material].rho
     if powder.sizes is None:
         return Fed(powder, rho, files)
@@ -106,7 +106,7 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
     D = np.array([sizes.diameter(u) for u in share])
     D = D[(D >= (powder.smallest or 0.0)) & (D <= (powder.largest or math.inf))]
     if len(D) < 2:
-        raise ValueError("smallest, largest: the powder has no particles between them: give wider limits")
+        raise ValueError("smallest, largest: the powder has no particles between these limits: give wider limits")
     number = np.concatenate([[0.0], np.cumsum((0.5 * (D[:-1] + D[1:])) ** -3.0)])  # each class has the same mass
     return Fed(powder, rho, files, (D, number / number[-1]))
 
@@ -122,7 +122,7 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
         i = int(np.argmin(counts))
         least = math.ceil(0.5 * each.sum() / each[i])
         raise ValueError(
-            f"number = {table.number}: powder[{i + 1}] has no particle, because its share is small: give {least} or more"
+            f"number = {table.number}: powder[{i + 1}] has no particle, because its share is small: give at least {least} particles"
         )
     return counts.tolist()
 
@@ -154,7 +154,7 @@ def particles(table: Coating, fed: Sequence[Fed] | None = None) -> list[dict[str
 
 
 def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[str, str | list[str]]:
-    """One particle of a powder. place: x, y (m) of its centre."""
+    """A random particle of a powder. place: x, y (m) of its centre."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
     off = _cut_normal(dice.random())

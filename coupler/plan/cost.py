@@ -96,7 +96,8 @@ def splat_elements(volume: float, element_size: float) -> int:
 
 
 def flow_stress(material: Material, T: float, rate: float, strain: float = STRAIN_OF_FLOW) -> float:
-    """Flow stress, Pa, at a plastic strain. rate: 1/s; T: K, limited to a value below the melting point."""
+    """Flow stress, Pa, at a plastic strain. rate: strain rate, 1/s; T: temperature, K, which is limited to a value below the melting
+    point."""
     hottest = material.T_ref + 0.95 * (material.T_m - material.T_ref)
     return material.flow_stress(strain, rate, min(T, hottest))
 

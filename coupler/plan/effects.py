@@ -20,9 +20,9 @@ GRADIENTS = "gradient_hardening"
 
 @dataclass(frozen=True)
 class Situation:
-    """Input data for the choice of effects of one impact, SI units. base: metal of the substrate; side_distance: from the impact to the
-    nearest absorbing face, infinite without any; duration: longest time of this impact; end_time: sum of the durations of this and all
-    later impacts, the longest time that waves and heat travel."""
+    """Input data for the choice of effects of one impact, SI units. base: metal of the substrate; side_distance: from the impact to
+    the nearest absorbing face, infinite if there is no such face; duration: longest time of this impact; end_time: sum of the
+    durations of this and all later impacts, the longest time that waves and heat travel."""
 
     scene: Scene
     impact: ImpactPlan
@@ -106,11 +106,11 @@ EFFECTS = (
         lambda s: max(s.warm, s.of_both(lambda m, T, _: (T - m.T_ref) / (m.T_m - m.T_ref))),
     ),
     Effect(
-        "rate_hardening", "rise of the flow stress at v/D",
+        "rate_hardening", "rise of flow stress at the rate v/D",
         lambda s: s.of_both(lambda m, T, _: s.flow_stress(m, T) / m.flow_stress(STRAIN_OF_FLOW, 0.0, min(T, m.T_ref)) - 1.0),
     ),
     Effect(
-        GRADIENTS, "rise of flow stress at 10/D",  # of a plastic strain that changes by 1 over a tenth of the diameter
+        GRADIENTS, "rise of flow stress by gradient 10/D",  # of a plastic strain that changes by 1 over a tenth of the diameter
         lambda s: s.of_both(lambda m, T, _: math.hypot(1.0, s.gradient_stress(m) / s.flow_stress(m, T)) - 1.0),
     ),
     Effect("plastic_heating", "Taylor-Quinney coefficient", lambda s: s.of_both(lambda m, *_: m.taylor_quinney)),
@@ -133,9 +133,9 @@ EFFECTS = (
         "thermal_expansion", "Gamma0 rho cp heating / K",
         lambda s: s.of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
     ),
-    Effect("adhesion", "splats that the scene bonds", lambda s: float(s.scene.derived.adhesion_law.kind != "none")),
+    Effect("adhesion", "number of splats that the scene bonds", lambda s: float(s.scene.derived.adhesion_law.kind != "none")),
     Effect(
-        "absorbing_boundaries", "time / wave's way to the side and back",
+        "absorbing_boundaries", "time / wave time to the side and back",
         lambda s: s.end_time * s.base.wave_speed / (2 * s.side_distance), 1.0,
     ),
     Effect("conduction", "sqrt(alpha time) / size x warming", lambda s: s.in_target * s.warm, 0.05),
@@ -148,7 +148,7 @@ EFFECTS = (
         "cooling", "sqrt(alpha dwell) / diameter",
         lambda s: max(s.diffusion(k, s.impact.dwell) for k in (0, 1)) / s.impact.diameter, 0.05,
     ),
-    Effect("recovery", "dislocations that recover in a pause", lambda s: s.of_both(s.recovered), 0.01),
+    Effect("recovery", "dislocations recovered in a pause", lambda s: s.of_both(s.recovered), 0.01),
 )  # fmt: skip
 
 
@@ -185,9 +185,9 @@ def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tupl
         value = max(map(effect.value, situations))
         on, why = value > effect.threshold, f"more than {effect.threshold:g}"
         if effect.name in settled:
-            on, why = settled[effect.name], "as the scene says"
+            on, why = settled[effect.name], "set by the scene"
         elif effect.name == GRADIENTS and not exposed:
-            on, why = False, "by default with bonds by exposure only"
+            on, why = False, "by default only with bonds by exposure"
         elif not on:
             why = f"no {why}"
         return Decision(effect.name, effect.number, value, on, why)

@@ -59,7 +59,7 @@ def arrival(
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
         raise ColdsprayError(
-            f"pressure = {units.rounded(conditions.pressure, 'bar')}: accelerates {units.rounded(diameter, 'um')} of"
+            f"pressure = {units.rounded(conditions.pressure, 'bar')}: it accelerates {units.rounded(diameter, 'um')} of"
             f" {material.name} to {flown.velocity:.3g} m/s; a scene needs {limits}"
         )
     arriving = {"velocity": flown.velocity, "temperature": flown.temperature}
@@ -68,8 +68,8 @@ def arrival(
 
 def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
     """Add missing velocities and temperatures to the particles of a scene with a table [gas]. raw: the scene as nested dicts, changed
-    in place; a value that cannot be computed is replaced by a valid one. catalogue: the materials. Returns the problems of nozzles and
-    flow; the check of the scene finds all others."""
+    in place; a value that cannot be computed is replaced by a valid one. catalogue: the materials. Returns the problems of nozzles
+    and flow; the check of the scene reports all other problems."""
     tables = raw["nozzles"]
     assert isinstance(tables, dict)
     known, problems = nozzles.from_tables(tables)
@@ -111,9 +111,11 @@ def describe(scene: SceneData) -> list[str]:
         lines = [f"{head} {gives[0]}"]
     shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
     notes = (
-        [f"drag and heat are those of the sphere of equal volume, not of this {', '.join(shapes)}"] if shapes else []
+        [f"drag and heat are those of the sphere of equal volume, not of the shape {', '.join(shapes)}"]
+        if shapes
+        else []
     )
-    notes += [*flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
+    notes += [*flow(c, nozzle).notes, *([f"assumed values of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
     return lines + [_INDENT + line for note in notes for line in textwrap.wrap(note, 110 - len(_INDENT))]
 
 

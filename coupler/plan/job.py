@@ -56,9 +56,9 @@ class Choice:
     @property
     def words(self) -> str:
         """The choice as text."""
-        bonds = f"bonds with {self.bonds} points, {self.placements} at each velocity, to {self.tolerance:.0%}"
-        texts = [bonds if self.bonds else "no bonds"] + ["their error of the resolution"] * (self.coarser > 0)
-        texts += ["the other strength sets"] * (self.sets > 0)
+        bonds = f"bonds with {self.bonds} points, {self.placements} at each velocity, bracket of {self.tolerance:.0%}"
+        texts = [bonds if self.bonds else "no bonds"] + ["with the error of the resolution"] * (self.coarser > 0)
+        texts += ["with the other strength sets"] * (self.sets > 0)
         return f"{', '.join(texts)}; coatings: {self.seeds} of {self.number} particles with {self.points} points"
 
     @property
@@ -261,7 +261,9 @@ def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choic
             if best is None:
                 least = units.rounded(time, "min", 2)
                 raise SceneError(
-                    [f"within = {units.rounded(job.data.within, 'min')}: too short, the least takes {least} here"],
+                    [
+                        f"within = {units.rounded(job.data.within, 'min')}: too short, the smallest choice takes {least} here"
+                    ],
                     job.name,
                 )
             return *best, (choice, time)

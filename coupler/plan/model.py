@@ -77,7 +77,7 @@ class TargetPlan:
     roughness: tuple[float, float, int] | None
 
     def faces(self, condition: Face) -> tuple[str, ...]:
-        """Names of the faces with this condition."""
+        """Names of the faces of the substrate that have this condition."""
         return tuple(name for name, kind in (("sides", self.sides), ("bottom", self.bottom)) if kind == condition)
 
 
@@ -152,5 +152,5 @@ class Plan:
 
     @property
     def impact(self) -> ImpactPlan:
-        """The first impact."""
+        """The first impact of the plan."""
         return self.impacts[0]

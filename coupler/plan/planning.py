@@ -30,8 +30,8 @@ COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 
 
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
-    """The plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: by the adhesion; error: whether coarser
-    runs measure the error. Raises SceneError for an unknown material."""
+    """Make the plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: chosen from the adhesion; error:
+    whether coarser runs measure the error. Raises SceneError for an unknown material."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.material)
@@ -147,7 +147,7 @@ def _spray(scene: Scene) -> str:
     stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
     time_of_pass = 0.25 * math.pi * spray.spot / spray.traverse_speed  # mean over the chords of the spot
     impacts = time_of_pass / d.time_between
-    return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts a pass)"
+    return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:

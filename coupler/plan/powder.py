@@ -40,9 +40,9 @@ def sizes_in(table: Table) -> Sizes:
     size = size or names[0]
     share = share if share and share != size else next((name for name in names if name != size), "")
     if not share:
-        raise ValueError("the file needs a column of sizes and a column of volume fractions")
+        raise ValueError("the file needs a column with sizes and a column with volume fractions")
     if "number" in share.lower() and "vol" not in share.lower():
-        raise ValueError(f"column {share!r} has numbers of particles: export volume fractions")
+        raise ValueError(f"column {share!r} has numbers of particles: give a file with volume fractions")
     unit = table.units.get(size, "um").replace("µ", "u").replace("μ", "u")
     try:
         scale = units.parse(f"1 {unit}", "length")

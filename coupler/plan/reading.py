@@ -94,7 +94,7 @@ class Scene(SceneData):
     def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
         """Check a scene of nested dicts, as from TOML. Raises SceneError with all problems."""
         if "scene" in data and not {"particle", "coating"} & data.keys() and {"points", "ensemble"} & data.keys():
-            raise SceneError([f"is the file of a sweep: run coldspray sweep {source}"], source)
+            raise SceneError([f"this is the file of a sweep, not of a scene: run coldspray sweep {source}"], source)
         scene = _checked(data, source)
         vars(scene)["given"] = copy.deepcopy(dict(data)), source
         return scene

@@ -28,7 +28,7 @@ def read_plan(folder: Path) -> Plan:
     path = folder / FILE
     if not path.exists():
         raise StoreError(
-            f"{folder} has no {FILE}, it may be a run of version 0.1: compute the scene again with this version"
+            f"{folder} has no {FILE}, perhaps because it is a run of version 0.1: compute the scene again with this version"
         )
     data = read_json_object(path)
     plan, problem = data.get("plan"), ""

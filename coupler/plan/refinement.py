@@ -81,7 +81,7 @@ def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
     """
     H, y = np.asarray(h, float), np.asarray(values, float)
     if len(y) < 2:
-        raise ValueError("an error estimate needs values at two spacings or more")
+        raise ValueError("an error estimate needs values at two or more spacings")
     if len(y) == 2:
         return SAFETY_UNCERTAIN * abs(line(H, y, FORMAL_ORDER)[1]) * float(H[0]), FORMAL_ORDER
     best = min(range(len(ORDERS)), key=lambda k: _scatter(H, y, float(ORDERS[k]), 3))

@@ -34,7 +34,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
         warnings.append(text)
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
-        points = f"{scene.derived.points} points in place of {usual}"
+        points = f"{scene.derived.points} points instead of {usual}"
         warnings.append(f"the spacing is that for the smallest or thinnest particle: the largest has {points}")
     shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
@@ -44,7 +44,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         )
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append(
-            "element_size is smaller than the spacing: single points indent the facets; give a larger element_size"
+            "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"
         )
     hot: dict[str, list[tuple[str, float]]] = {}  # particles and their temperatures (K), by metal
     for i, label in zip(impacts, scene.labels, strict=True):
@@ -60,14 +60,14 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
         real = units.rounded(scene.derived.time_between, "ms")
         warnings.append(
-            f"dwell = 0 us: each particle hits a target that is hot from the last one; in the spray the time between impacts is {real}"
+            f"dwell = 0 us: each particle hits a target that the one before has heated; in the spray the time between impacts is {real}"
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
         name = impacts[0].material.name
         warnings.append(
-            f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond: give sigma_TS under"
+            f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; give sigma_TS under"
             f' [materials.{name}], or adhesion.kind ("none" if it shall not bond)'
         )
     fewest = min(i.points for i in impacts)
@@ -79,7 +79,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
         warnings.append(
             "bonds by exposure without hardening by gradients of plastic strain (effect gradient_hardening; taylor_alpha and burgers of"
-            " the metals): verdicts do not converge with the spacing, and nickel sticks at some 20 % lower velocities than with it"
+            " the metals): verdicts do not converge with the spacing, and nickel sticks at about 20 % lower"
+            " velocities than with this effect"
         )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(absorbing_distance(scene, scene.particle.offset)):

@@ -57,8 +57,9 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        "  retry      what fails is computed again from its start with half the time step, then with a quarter",
-        f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {expected.target_load:.2g} of the particle",
+        "  retry      after a failure: again from its start with half the time step, then a quarter",
+        f"  two ranks  mpiexec -n 2 coldspray run ...: target and contact cost {expected.target_load:.2g} times"
+        f" as much as the particle",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),
@@ -70,7 +71,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
     """Lines about the strength set of each metal and the hardness of the powder; without `brief` also about sources."""
     metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
     hardened = max(impact.initial_strain for impact in plan.impacts)
-    powder = f"begins at a plastic strain of {hardened:.3g}" if hardened > 0.0 else "as its set, no hardness given"
+    powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "without hardness, as in its set"
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}
     hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]
     if plan.effects.gradient_hardening and hard:
@@ -136,7 +137,7 @@ def _splats(plan: Plan) -> list[str]:
     if len(plan.impacts) == 1 and plan.adhesion.kind == "none":
         return []
     each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
-    text = "none expected: all are below the critical velocity"
+    text = "none expected: all particles are below the critical velocity"
     if each:
         count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
         size = units.rounded(plan.splat_element_size, "um")
@@ -150,8 +151,8 @@ def _window(plan: Plan) -> list[str]:
     if not lengths:
         return []
     most = max(each.stop - each.first for each in plan.batches)
-    side = f"; {len(plan.batches)} batches of up to {most} impacts side by side" if most > 1 else ""
-    return [f"  window     {_range(lengths, 'um')} round each impact: only this part of the target is computed{side}"]
+    side = f"; {len(plan.batches)} batches of up to {most} impacts at the same time" if most > 1 else ""
+    return [f"  window     {_range(lengths, 'um')} around each impact: only this part of the target is computed{side}"]
 
 
 def _ends(plan: Plan) -> str:
@@ -160,7 +161,7 @@ def _ends(plan: Plan) -> str:
     last = sorted({i.end_time for i in plan.impacts})
     often = sorted({max(i.output_every, estimates.CHUNK * i.dt_expected) for i in plan.impacts})
     ends = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}
-    cold = "" if plan.ambient is None else f"; at the end all cools to {units.rounded(plan.ambient, 'K', 4)}"
+    cold = "" if plan.ambient is None else f"; at the end all bodies cool to {units.rounded(plan.ambient, 'K', 4)}"
     when = f"every {_range(often)}" if math.isfinite(often[0]) else f"at the end{' of each' if several else ''}"
     head = f"  {'each ends  ' if several else 'ends       '}{ends[plan.impact.end_at]}"
     return f"{head}{_range(last)}{cold}; a step written {when}"
@@ -183,7 +184,7 @@ def _shapes(plan: Plan) -> list[str]:
         lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)
         tilt = f" tilted {units.rounded(particle.tilt, 'deg')}" if particle.tilt else ""
         which = f"{_shape(particle)}: " if len(plan.impacts) > 1 else ""
-        volume = f"{units.rounded(particle.diameter, 'um')} is the sphere of equal volume"
+        volume = f"{units.rounded(particle.diameter, 'um')} is the diameter of the sphere of equal volume"
         lines.append(f"             {which}{lengths} um{tilt}; {volume}")
     lines = list(dict.fromkeys(lines))
     return lines if len(lines) <= _MOST_SHAPES else [*lines[:_MOST_SHAPES], "             ... and others"]

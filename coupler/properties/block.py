@@ -32,7 +32,7 @@ class Joints:
     bonded: NDArray
 
     def only(self, which: NDArray) -> Joints:
-        """The rows of a mask (n,)."""
+        """The joints that a mask (n,) selects."""
         return Joints(*(values[which] for values in vars(self).values()))
 
 
@@ -51,7 +51,7 @@ class Block:
 
     @property
     def volume(self) -> float:
-        """Volume of the block, pores included, m3."""
+        """Volume of the block including its pores, m3."""
         return float(np.prod(self.high - self.low))
 
     @property

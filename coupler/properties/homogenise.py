@@ -118,7 +118,7 @@ class Problem:
                 part[~own], failed = _solved(inner, -outer @ part[own])
                 if failed:
                     raise SolverError(
-                        f"the block is not solved in {ITERATIONS} iterations: take a smaller one (--side)"
+                        f"the equations of the block are not solved in {ITERATIONS} iterations: choose a smaller block (--side)"
                     )
                 answer[k] = T @ part
         energy = answer @ (self.K @ answer.T) / self.volume

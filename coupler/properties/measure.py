@@ -80,7 +80,7 @@ class Properties:
 def properties(
     result: Result, side: float | None = None, heights: tuple[float, float] | None = None, conductance: float | None = None
 ) -> Properties:  # fmt: skip
-    """Effective properties of a run's cold coating.
+    """Effective properties of the cold coating of a run.
 
     side (m): edge of the block in the plane of the surface (default: the square in the disc that `coating` measures); heights (m):
     lowest and highest z of the block (default: from above 99 % of the substrate to below 90 % of the tops); conductance (W/(m2 K)):
@@ -137,7 +137,7 @@ def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | 
     columns = Columns(splats, (0.0, 0.0), np.sqrt(2.0) * half, 2.0 * COLUMN * splats.element_size)
     inside = np.maximum(abs(columns.x), abs(columns.y)) <= half
     if not inside.any():
-        raise StoreError(f"--side: {2e6 * half:.3g} um is less than an element of the coating: give a larger one")
+        raise StoreError(f"--side: {2e6 * half:.3g} um is smaller than an element of the coating: give a larger value")
     ground, top = columns.highest(columns.substrate)[inside], columns.highest(columns.matter)[inside]
     least = float(np.quantile(ground, GROUND))
     bottom, roof = (least, max(float(np.quantile(top, TOP)), least)) if heights is None else heights
@@ -157,7 +157,7 @@ def _cut(splats: Splats, metals: list[Material], low: NDArray, high: NDArray) ->
     if held < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
         raise StoreError(
-            f"a block of {edges} um holds {held:.1f} splats, of {LEAST_SPLATS:.0f} that it needs: take a larger one (--side,"
+            f"a block of {edges} um holds {held:.1f} splats, but {LEAST_SPLATS:.0f} are needed: choose a larger block (--side,"
             " --heights), or spray more particles"
         )
     at_nodes = np.stack([mesh.data["bonded"] > 0, mesh.data["touching"] > 0], axis=1).astype(float)
@@ -178,7 +178,7 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
         size = value - float(several.mean()) if parts else None
         values[name] = Bracket("Pa", bulk[name[0]], most[name], value, least.get(name), error, size)
     area, edges = float(joints.area.sum()), (block.high - block.low).tolist()
-    few = f"the block holds {whole.splats:.0f} splats: take the error from other seeds"
+    few = f"the block holds {whole.splats:.0f} splats, too few for an error: give runs with other seeds"
     return Properties(
         side_m=edges[0], height_m=edges[2], elements=len(block.tets), splats=whole.splats,
         solid=block.solid, open_share=open_share, bonded=float(joints.area @ joints.bonded) / area if area else 0.0,

@@ -116,7 +116,7 @@ class DistributedParticle:
         return self._all(self.ask("carried"))
 
     def warm(self, heat: np.ndarray) -> None:
-        """Heat the points by heat (n,) J."""
+        """Add heat (n,) J to the points of the particle."""
         self.ask("warm", each=[heat[ids] for ids in self._owner])
         self._points = None
 
@@ -226,6 +226,6 @@ class DistributedParticle:
         return gathered
 
     def close(self) -> None:
-        """Close this rank's LAMMPS."""
+        """Close the LAMMPS instance of this rank."""
         if self.local is not None:
             self.local.close()

@@ -38,14 +38,14 @@ def animate(
     """
     path = Path(path) if path is not None else result.directory / f"{field}{SUFFIXES[ffmpeg() is None]}"
     if path.suffix.lower() not in SUFFIXES:
-        raise StoreError(f"cannot write {path}: the name of a film ends in {' or '.join(SUFFIXES)}")
+        raise StoreError(f"cannot write {path}: the name of an animation must end in {' or '.join(SUFFIXES)}")
     if fps is not None and not 0.1 <= fps <= 100:
         raise StoreError(f"fps = {fps:g}: give 0.1 to 100 pictures per second")
     have = drawable(result)
     if not have:
-        raise StoreError(f"{result.directory} holds no step of particle, surface and target: nothing to animate yet")
+        raise StoreError(f"{result.directory} has no stored step of particle, surface and target: try again later")
     if field not in have:
-        raise StoreError(f"{result.directory} has no field {field!r} to animate; has {', '.join(have)}")
+        raise StoreError(f"{result.directory} has no field {field!r} to draw; it has the fields {', '.join(have)}")
     rate = fps or float(np.clip(stored_steps(result) / SECONDS, *RATES))
     write = _mp4 if path.suffix.lower() == ".mp4" else _gif
     with replacing(path) as part:
@@ -99,7 +99,7 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
         if film.returncode:
             errors.seek(0)
             reason = (errors.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-            raise StoreError(f"cannot write {path}: ffmpeg fails ({reason[:200]}); a .gif does not need it")
+            raise StoreError(f"cannot write {path}: ffmpeg fails ({reason[:200]}); a .gif needs no ffmpeg")
 
 
 def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:

@@ -31,7 +31,7 @@ LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 # Curves over time: name of the figure -> label of the axis, factor from SI, column of the history -> label
 CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
-    "drift": ("ledger fails to close by (%)", 100.0, {"drift": "drift"}),
+    "drift": ("change of the energy sum (%)", 100.0, {"drift": "drift"}),
     "lengths": ("length (µm)", 1e6, {
         "height": "height above surface", "thickness": "whole thickness", "crater_depth": "crater depth"}),
     "velocity": ("mean velocity of the particle (m/s)", 1.0, {"velocity_z": "upwards"}),

@@ -59,7 +59,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
         table.add_column("change", justify="right")
     table.add_column("")
     if differ := differences(results):
-        table.add_row(Text("scene, where it differs", style="bold"))
+        table.add_row(Text("differences between the scenes", style="bold"))
         for key, values in differ:
             table.add_row(Text("  " + key), *(Text(value) for value in values), *[""] * two, "")
     fill_table(table, _measures(results))
@@ -121,7 +121,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
     elif path.suffix.lower() in (".html", ".htm"):
         write_text(path, comparison_page(results))
     else:
-        raise StoreError(f"cannot write {path}: the name of a comparison ends in .png or .html")
+        raise StoreError(f"cannot write {path}: the name of a comparison must end in .png or .html")
     return path
 
 
@@ -130,10 +130,10 @@ def comparison_page(results: Sequence[Result]) -> str:
     check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
-    image = f'<img src="{embedded(comparison_picture(results))}" alt="cuts of the runs side by side">'
+    image = f'<img src="{embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
-    page.section("scenes", "Scenes, where they differ", parts.table(["", *names], rows) if rows else "")
+    page.section("scenes", "Differences between the scenes", parts.table(["", *names], rows) if rows else "")
     heads = [*names, *["change"] * (len(names) == 2)]
     page.section("measures", "Measures", parts.side_by_side(_measures(results), heads))
     histories = {n: r.history() for n, r in of_name.items() if (r.directory / "history.csv").is_file()}
@@ -144,7 +144,7 @@ def comparison_page(results: Sequence[Result]) -> str:
     unfinished = ", ".join(name for name, result in of_name.items() if not result.finished)
     top = f'<p class="warn">Not finished: {escape(unfinished)}.</p>' if unfinished else ""
     under = escape(" · ".join(dict.fromkeys(title(result) for result in results)))
-    return page.html(f"{len(results)} runs side by side", under, top, "")
+    return page.html(f"{len(results)} runs compared", under, top, "")
 
 
 def check_count(runs: int) -> None:

@@ -57,7 +57,8 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:
-    """A field at the points, (n, ...). Values in tetrahedra are averaged over the tetrahedra of a point, weighted by volume."""
+    """The values (n, ...) of a field at the points. Values in tetrahedra are averaged over the tetrahedra around a point, weighted by
+    volume."""
     values = fields.data[name].astype(float)
     if len(values) == len(fields.points):
         return values

@@ -93,20 +93,20 @@ def report(
     front = f'<div class="two"><div>{front}</div>{conditions}</div>' if count < 2 else front + conditions
     warned = (values if result.finished else result.plan).get("warnings") or []
     warned = [str(text) for text in warned if text not in alerts(summary)]
-    more = f"{len(warned) - FRONT_WARNINGS} more below" if len(warned) > FRONT_WARNINGS else ""
+    more = f"{len(warned) - FRONT_WARNINGS} more warnings below" if len(warned) > FRONT_WARNINGS else ""
     page.section("warnings", "Further warnings", parts.warnings(warned[FRONT_WARNINGS:]))
     page.section("impacts", "Impacts", parts.each_impact(summary))
     page.section("measures", "Measures" if count < 2 else "Whole run", parts.measures(summary))
     if names := picture.drawable(result):
         at, picked = picture.stage(result), picks(result)
         seen = picture.view(result, picked, at)
-        stage("cutting the bodies")
+        stage("computing the cross-sections")
         cuts = [picture.cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
         ranges = {name: picture.colour_range(cuts, name) for name in names}
-        stage("preparing the view in 3D")
+        stage("preparing the 3D view")
         page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
-        stage("drawing the cuts")
+        stage("drawing the cross-sections")
         main = {name: ranges[name] for name in names if name in ("T", "eps_p")}
         lower, caption = replace(cuts[-1], view=(*seen[:3], picture.view(result, picked[-1:], at)[3])), {}
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
@@ -166,9 +166,9 @@ SOLID = """<div class="controls" id="solid-controls">
 <label>Time <input type="range" id="time" min="0" step="1"> <output id="now"></output></label>
 </div>
 <div id="solid"></div><img id="solid-picture" alt="Particle and target in 3D">
-<p class="caption"><span class="controls-note">Drag to turn, wheel to zoom, right button to move.</span>
-Colours mean the same at all times; what lies above
-their range has the last one.</p>"""
+<p class="caption"><span class="controls-note">Drag to rotate, use the wheel to zoom and the right button to move.</span>
+Colours mean the same at all times; values above
+their range have the last colour.</p>"""
 
 
 def _named_times(summary: Summary) -> dict[str, float]:
@@ -208,7 +208,7 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
 
 
 def _so_far(history: Mapping[str, NDArray]) -> str:
-    """The last row of the history, for a run without a summary."""
+    """A table with the last row of the history, for a run that has no summary yet."""
     keys = {
         "time": "time_s", "height": "height_m", "thickness": "thickness_m", "crater_depth": "crater_depth_m",
         "velocity_z": "velocity_z_m_s", "T_max": "T_max_K", "eps_p_mean": "eps_p_mean", "drift": "energy_drift", "step": "steps",
@@ -269,7 +269,7 @@ def _energy(page: Page, history: Mapping[str, NDArray]) -> str:
     if not stack:
         return ""
     caption = (
-        "The initial kinetic energy of the particle is transformed into these terms; each impact is drawn in % of its own. The "
+        "The initial kinetic energy of the particle becomes these terms, in % for each impact. The "
         "stack is the sum of all terms of the ledger; its distance from 100 % is the drift below."
     )
     drift = page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")

@@ -23,7 +23,7 @@ CONSTANTS = (
     ("s", "slope s of the shock relation", 1.0, ""),
     ("Gamma0", "Grüneisen coefficient", 1.0, ""),
     ("T_m", "melting point", 1.0, "K"),
-    ("taylor_quinney", "share of plastic work that heats", 1.0, ""),
+    ("taylor_quinney", "share of plastic work that becomes heat", 1.0, ""),
 )
 
 
@@ -48,8 +48,8 @@ def table(
 
 
 def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "", heads: Sequence[str] = ()) -> str:
-    """A row of a table. kinds: CSS class of each cell, "" for none; kind: class of the row; heads: of the columns, for stacked
-    cells."""
+    """A row of a table. kinds: CSS class of each cell, "" for none; kind: class of the row; heads: headings of the columns, for
+    stacked cells."""
 
     def of(name: str, attribute: str = "class") -> str:
         return f' {attribute}="{escape(name)}"' if name else ""
@@ -65,7 +65,7 @@ def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str 
 def front(summary: Summary) -> str:
     """The main measures with their errors. For several impacts there is a row for each of the first FRONT_ROWS impacts."""
     (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
-    more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
+    more = f"{count - len(rows)} more in the section Impacts" if 1 < count > len(rows) else ""
     note = escape("; ".join(text for text in (more, words.of_run(summary), words.error_note(summary)) if text))
     return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
         f'<p class="caption">{note}</p>' if note else ""
@@ -112,7 +112,7 @@ def each_impact(summary: Summary) -> str:
 
 
 COLD_ROWS = (
-    ("T_max_before_K", "hottest before the closing stage"),
+    ("T_max_before_K", "highest temperature before the closing stage"),
     ("ambient_K", "ambient"),
     ("overlap_m", "deepest overlap of bodies"),
 )
@@ -261,7 +261,7 @@ def items(texts: Iterable[str], kind: str = "") -> str:
 
 
 def pace(values: Values) -> str:
-    """Wall time of a step, and the limits of the time step, from `Result.values`; "" if they are not known."""
+    """Text with the wall time of a step and what limits the time step, from `Result.values`; "" if these are not known."""
     loop, steps, simulated = (values.get(key) for key in ("wall_loop_s", "steps", "sim_time_s"))
     if not (loop and steps and simulated):
         return ""

@@ -103,7 +103,7 @@ def stage(result: Result) -> Stage:
     """The `Stage` of a run. The plane goes through the middle of the particle at the start. For several particles it is the first
     plane through a particle centre that cuts most of them. Raises StoreError if no step is stored."""
     if not stored_steps(result):
-        raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: draw it later")
+        raise StoreError(f"{result.directory} has no stored step of particle, surface and target: try again later")
     particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
     start, volume = surface.points, abs(enclosed_volume(surface.points, surface.cells))
     plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
@@ -211,7 +211,7 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     if not all(np.isfinite(part).all() for part in numbers):
         raise StoreError(
             f"{result.directory}: step {step % steps} has values that are not finite numbers, because the run became unstable:"
-            " draw an earlier step, or try a finer preset"
+            " choose an earlier step, or compute the scene with a finer preset"
         )
     return particle, surface, target
 

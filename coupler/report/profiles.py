@@ -17,8 +17,8 @@ SAMPLES = 60  # in each body
 
 @dataclass(frozen=True)
 class Profile:
-    """Values along the line in one body. time: s; depth (k,): below the undeformed surface, m, increasing; values: field -> (k,
-    ...), SI; stress in the order xx yy zz xy yz xz."""
+    """Values along a vertical line in one body. time (s); depth (k,) m: depth below the undeformed surface, increasing; values: (k,
+    ...) of each field, SI; stress in the order xx yy zz xy yz xz."""
 
     time: float
     depth: NDArray
@@ -26,9 +26,9 @@ class Profile:
 
 
 def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: float) -> list[Profile]:
-    """Profiles through splat and substrate at a stored step; NaN where the splat is hollow. names: fields; a body without one of
-    them has no values for it. at: gives the undeformed surface and the size of a void. reach: greatest depth, m. Raises StoreError
-    if a file is missing or damaged."""
+    """Profiles through splat and substrate at a stored step; NaN where the splat is hollow. names: names of the fields; if a body
+    lacks a field, it has no values for this field. at: gives the undeformed surface and the size of a void. reach: greatest depth, m.
+    Raises StoreError if a file is missing or damaged."""
     level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))

@@ -24,7 +24,7 @@ def screen(result: Result, verbose: bool = False) -> str:
     if verbose and effects:
         notes.append(f"effects: {', '.join(map(str, effects))}")
     elif not verbose and (more := len(notes) - _MOST_REMARKS) > 0:
-        notes[_MOST_REMARKS:] = [f"{more} more remarks: -v"]
+        notes[_MOST_REMARKS:] = [f"{more} more remarks: use -v"]
     decided = verdict(summary)
     head = [f"verdict: {text}" if k == 0 else f"  {text}" for k, text in enumerate(decided)]
     head += [f"doubtful: {text}" for text in doubts]

@@ -50,7 +50,8 @@ class Line:
 
 
 def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = None) -> dict[str, list[Line]]:
-    """The measures of several blocks in one table: the lines of each group. errors: errors for the last block (`errors_of`)."""
+    """The measures of several blocks in one table: the lines of each group of measures. errors: errors of the measures in the last
+    block (`errors_of`)."""
     groups: dict[str, list[Line]] = {group: [] for group in GROUPS}
     for key in dict.fromkeys(key for block in blocks for key in block):
         record, last = measure(key), (errors or {}).get(key)
@@ -154,7 +155,7 @@ def verdict(summary: Summary) -> list[str]:
 
 _VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
           (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
-_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "ties of the scene", BY_MOTION: "motion alone"}
+_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "the scene", BY_MOTION: "motion alone"}
 _WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
 
 
@@ -210,7 +211,7 @@ def _decided_by(records: Sequence[Block]) -> list[str]:
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
     texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
-    texts += [f"{unsettled} without an end of the contact"] if unsettled else []
+    texts += [f"{unsettled} still in contact at the end"] if unsettled else []
     return [f"verdicts: {', '.join(texts)}"] if texts else []
 
 

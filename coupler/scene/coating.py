@@ -28,7 +28,7 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
     except units.UnitError as error:
         raise ValueError(f"has a diameter that {error}") from None
     if len(value) == 2 and not diameters[0] < diameters[1]:
-        raise ValueError("needs the smaller sieve first")
+        raise ValueError("needs the smaller sieve size first")
     if sorted(diameters) != list(diameters):
         raise ValueError("needs D10, D50, D90 in ascending order")
     return diameters
@@ -36,7 +36,7 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
 
 _SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
 SIZE_FORMS = (
-    '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file of a sizer'
+    '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file with sizes'
 )
 #: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the name of a sizer's file.
 PowderSizes = Annotated[
@@ -96,10 +96,10 @@ class PowderTable(Section):
         if isinstance(self, Coating) and self.powder:  # each powder has its own
             return self
         if (self.diameter is None) == (self.sizes is None):
-            raise ValueError('needs diameter = "22 um" or sizes = "15-45 um", one of them')
+            raise ValueError('needs either diameter (such as "22 um") or sizes (such as "15-45 um")')
         low, high = self.smallest or 0.0, self.largest or math.inf
         if not low <= (self.diameter or low) <= high:
-            raise ValueError("needs smallest <= diameter <= largest")
+            raise ValueError("needs values with smallest <= diameter <= largest")
         return self
 
 
@@ -139,13 +139,13 @@ class Coating(PowderTable):
     def _adds_up(self) -> Self:
         if self.powder is not None and len(self.powder) < 2:
             raise ValueError(
-                "needs two tables [[coating.powder]] or more, or none: one powder has its keys in [coating]"
+                "needs two tables [[coating.powder]] or more; for a single powder write its keys in [coating] instead"
             )
         if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
             raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
         if self.number % self.layers:
             raise ValueError(
-                f"needs layers that divide number = {self.number}: all layers have the same number of particles"
+                f"needs a value that divides number = {self.number}, because all layers have the same number of particles"
             )
         return self
 

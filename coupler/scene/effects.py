@@ -53,7 +53,7 @@ def check_request(request: str | Sequence[str]) -> list[str]:
         name = item.lstrip("+-") if item[:1] in "+-" else item
         if item in WHOLE:
             if i > 0:
-                problems.append(f'"{item}" may only be the first of the list')
+                problems.append(f'"{item}" may only be the first element of the list')
         elif name not in NAMES or len(item) - len(name) > 1:
             problems.append(f"unknown effect {item[:40]!r}{units.nearest(name, NAMES)}; known: {', '.join(NAMES)}")
         elif name in seen:

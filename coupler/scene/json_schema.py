@@ -70,7 +70,7 @@ def _words() -> dict[str, Any]:
 
 
 def _described(key: str, entry: dict[str, Any]) -> None:
-    """Add the meaning of a key, without links, to its description."""
+    """Add to the schema entry of a key its meaning as description, without links."""
     plain = re.sub(r" \(\[.*?\]\(.*?\)\)", "", words(key))
     entry["description"] = "; ".join(text for text in (plain, entry.get("description", "")) if text)
 

@@ -1,4 +1,4 @@
-"""Messages about the tables of a scene, with the names of the scene's fields."""
+"""Messages about errors in the tables of a scene, with the names of the scene's fields."""
 
 import copy
 import json
@@ -62,7 +62,8 @@ def covers(bad: str, field: str) -> bool:
 
 
 def dotted(loc: tuple[int | str, ...], several: bool) -> str:
-    """Name of a field in messages, with indices from 1: particle[2].velocity, or particle.velocity without `several` particles."""
+    """Name of a field in messages, with indices from 1: "particle[2].velocity". For a scene with one particle (`several` is False) it
+    is "particle.velocity"."""
     parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] == "particle" and isinstance(p, int))]
     text = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in parts)
     return text.removeprefix(".")

@@ -41,7 +41,7 @@ class Quantity:
     auto: bool = False
 
     def read(self, value: object) -> float:
-        """SI value of a scene's text. Raises units.UnitError or ValueError with the problem."""
+        """The SI value of a text in a scene. Raises units.UnitError or ValueError with the problem."""
         if value is None:
             raise units.UnitError("needs a value")
         dimension = units.dimension_of(self.unit)
@@ -72,7 +72,8 @@ class BySize:
     of: Quantity
 
     def read(self, value: object) -> tuple[tuple[float, float], ...]:
-        """Pairs in SI units of a scene's text or list. Raises units.UnitError or ValueError with the problem."""
+        """The pairs (diameter, value) in SI units of a text or list in a scene. Raises units.UnitError or ValueError with the
+        problem."""
         if not isinstance(value, list | tuple):
             return ((0.0, self.of.read(value)),)
         if not value or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
@@ -125,8 +126,8 @@ class Particle(Section):
     start.
 
     shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: diameter of the sphere of equal
-    volume; tilt (rad): of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness, yield_strength
-    (Pa, one of them): of the powder, instead of the values of the metal.
+    volume; tilt (rad): rotation of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness,
+    yield_strength (Pa; at most one of them): values of the powder, instead of those of the metal.
     """
 
     material: str
@@ -147,12 +148,12 @@ class Particle(Section):
     @model_validator(mode="after")
     def _file_of_shape(self) -> "Particle":
         if (self.shape == "file") != (self.file is not None):
-            raise ValueError('needs file = "powder.stl" with shape = "file", and only with it')
+            raise ValueError('needs file (such as "powder.stl") if shape = "file", and no file otherwise')
         return self
 
     @property
     def volume(self) -> float:
-        """Volume of its metal, m^3."""
+        """Volume of the particle's metal, m^3."""
         return morphology.sphere_volume(self.diameter)
 
     @property
@@ -200,7 +201,7 @@ class GasConditions(Section):
 class Track(Section):
     """The motion of the spray gun over the target. SI units; the defaults are usual conditions.
 
-    feed_rate: of the powder, kg/s; spot: diameter of the uniform spray spot, m; traverse_speed: of the gun, m/s.
+    feed_rate (kg/s): feed rate of the powder; spot (m): diameter of the uniform spray spot; traverse_speed (m/s): speed of the gun.
     """
 
     feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
@@ -212,8 +213,8 @@ class Spray(Track):
     """The spray, which gives the time between impacts. SI units.
 
     efficiency: fraction of the powder that the particles of the scene represent. heat_transfer: coefficient of the jet on the surface
-    between impacts, W/(m2 K), by default none; gas_temperature: of the jet on the surface, K, by default the total temperature of
-    [gas].
+    between impacts, W/(m2 K), by default none; gas_temperature (K): temperature of the jet on the surface, by default the total
+    temperature of [gas].
     """
 
     efficiency: StrictFloat = Field(default=1.0, gt=0.0, le=1.0)
@@ -259,8 +260,9 @@ class PairTable(Section):
 
 
 class AdhesionTable(Section):
-    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Pa, J/m2; threshold: a pressure (Pa), a strain or a ratio, by the
-    criterion. Without kind and criterion the kind is "tied" by "velocity", or "none" if a metal has no tensile strength."""
+    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Strengths in Pa, energies in J/m2; threshold: a pressure (Pa), a
+    strain or a ratio, depending on the criterion. Without kind and criterion the kind is "tied" by "velocity", or "none" if a metal
+    has no tensile strength."""
 
     kind: Kind | None = None
     criterion: Criterion | None = None
@@ -279,7 +281,7 @@ class AdhesionTable(Section):
         if info.data["criterion"] == "pressure":
             return _Stress.read(value)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ValueError(f'needs a number without unit with criterion = "{info.data["criterion"]}"')
+            raise ValueError(f'needs a number without unit if criterion = "{info.data["criterion"]}"')
         return float(value)
 
 

@@ -118,7 +118,9 @@ def set_key(table: Any, key: str, value: object) -> None:
     """
     steps = _STEP.findall(key)
     if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith(".") or steps[-1][1]:
-        raise ValueError(f'{key}: is not a key of a scene, such as particle.velocity or "particle[2].velocity"')
+        raise ValueError(
+            f'{key}: not a key of a scene; a key is for example particle.velocity or "particle[2].velocity"'
+        )
     for name, number in steps[:-1]:
         name = name.strip('"')
         if name not in table:
@@ -150,7 +152,7 @@ def _value(text: str) -> Any:
 
 
 def _inline(table: Section) -> str:
-    """A table in one line."""
+    """A table as TOML text in one line."""
     said = {field: value for field, value in table if value is not None}
     return "{ " + ", ".join(f"{field} = {_written(table, field, value)}" for field, value in said.items()) + " }"
 

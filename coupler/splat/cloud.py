@@ -71,16 +71,16 @@ class Cloud(MetalState):
         x = np.asarray(self.x)
         n = len(x)
         if x.ndim != 2 or x.shape[1] != 3:
-            raise SplatError(f"points must be (n, 3) coordinates, got {x.shape}: give x, y and z of each point")
+            raise SplatError(f"points must have the shape (n, 3), not {x.shape}: give x, y and z of each point")
         if n < MIN_POINTS:
             raise SplatError(
-                f"the cloud has {n} points, {MIN_POINTS} or more are needed: use a smaller spacing of the points"
+                f"the cloud has {n} points, but {MIN_POINTS} or more are needed: use a smaller spacing of the points"
             )
         for name, values in self._known().items():
             shape = (n, *rows_of(self)[name].shape[1:])
             if np.shape(values) != shape:
                 raise SplatError(
-                    f"{name} must have the shape {shape}, has {np.shape(values)}: give a row for each point"
+                    f"{name} must have the shape {shape}, but has {np.shape(values)}: give a row for each point"
                 )
             bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
             if len(bad):
@@ -90,9 +90,9 @@ class Cloud(MetalState):
                 )
         for name, value in {"spacing": self.spacing, "rho": self.rho}.items():
             if not 1.0 / LARGEST < value < LARGEST:
-                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {value:g}: give it in SI units")
+                raise SplatError(f"{name} must be positive and below {LARGEST:g}, not {value:g}: give it in SI units")
         if not np.min(self.volume) > 0.0 or (self.J is not None and not np.min(self.J) > 0.0):
-            raise SplatError("volume and J of every point must be positive: remove or correct the other points")
+            raise SplatError("volume and J of every point must be positive: correct or remove points with other values")
         self._check_places(x)
         if self.surface is not None:
             vertices, triangles = self.surface
@@ -122,7 +122,8 @@ class Cloud(MetalState):
             i = int(double[0])
             other = next(int(k) for k in nearest[i] if k != i)  # of two equal points either may come first
             raise SplatError(
-                f"{len(double)} points lie on top of others (points {i} and {other} have the same coordinates): remove the duplicates"
+                f"{len(double)} points have the coordinates of another point (points {i} and {other} have the"
+                f" same coordinates): remove the duplicates"
             )
 
 

@@ -30,7 +30,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
         raise SplatError(f"unknown method {method!r}: choose one of {', '.join(METHODS)}")
     if method == "carried" and cloud.surface is None:
         raise SplatError(
-            "method 'carried' needs the carried surface of the body, and the cloud has none: use 'density'"
+            "method 'carried' needs the carried surface of the body, but the cloud has none: use method 'density'"
         )
     cloud.check()
     if not (np.isfinite(element_size) and element_size > 0.0):
@@ -48,7 +48,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
         bodies = [mesh_body(shape, index, element_size, method) for index, shape in parts]
     except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
         raise SplatError(
-            f"the meshing of this cloud fails ({type(problem).__name__}: {problem}): try another element size, or check the points"
+            f"this cloud cannot be meshed ({type(problem).__name__}: {problem}): try another element size, or check the points"
         ) from problem
     lost = np.setdiff1d(np.arange(len(cloud.x)), np.concatenate([body.cloud_index for body in bodies]))
     report = _total([body.report for body in bodies], sorting)
@@ -101,7 +101,7 @@ def _size_of(cloud: Cloud, element_size: float) -> float:
 
 
 def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str) -> Body:
-    """Mesh one body and transfer its state. index: its points in the cloud. Raises SplatError if every strategy fails."""
+    """Mesh one body of a cloud and transfer its state. index: its points in the cloud. Raises SplatError if every strategy fails."""
     cloud, failed = shape.cloud, []
     seconds: dict[str, float] = {}
     for strategy in strategies(method, cloud.surface is not None):
@@ -126,7 +126,8 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
         return Body(points, tets, index, report=report, **state)
     reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
     raise SplatError(
-        f"no mesh of a body of {len(index)} points is good enough: {reasons}. Try another element size, or check the spacing"
+        f"no mesh of the body of {len(index)} points has a sufficient quality: {reasons}. Try another element"
+        f" size, or check the spacing"
     )
 
 

@@ -19,7 +19,7 @@ MAX_CELLS = 24_000_000  # of a grid: 100 MB for each array
 
 @dataclass(frozen=True)
 class Field:
-    """A field on a grid of cells. values (nx,ny,nz): at the centres origin + (i, j, k) h; origin (3,), h: m."""
+    """A field on a grid of cells. values (nx,ny,nz): values at the centres origin + (i, j, k) h; origin (3,) m, h (m)."""
 
     values: np.ndarray
     origin: np.ndarray

@@ -193,13 +193,13 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) 
     if (pieces := quality.pieces(points, tets)) != 1:
         wrong.append(f"the mesh consists of {pieces} separate pieces")
     if gamma.min() < MIN_GAMMA:
-        wrong.append(f"worst element quality gamma {gamma.min():.3f}, least allowed {MIN_GAMMA}")
+        wrong.append(f"worst element quality gamma {gamma.min():.3f}, required at least {MIN_GAMMA}")
     if steps.min() < MIN_STEP_LENGTH * size:
         wrong.append(
-            f"smallest step length {steps.min() / size:.3f} of the element size, least allowed {MIN_STEP_LENGTH}"
+            f"smallest step length {steps.min() / size:.3f} of the element size, required at least {MIN_STEP_LENGTH}"
         )
     if abs(error := report["volume_m3"] / solid - 1.0) > MAX_VOLUME_ERROR:
-        wrong.append(f"volume differs by {error:+.1%}")
+        wrong.append(f"volume differs from that of the body by {error:+.1%}")
     if wrong:
         raise SplatError("; ".join(wrong))
     return report

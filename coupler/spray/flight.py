@@ -92,7 +92,8 @@ def melting(
     near = NEAR_MELTING * material.T_m
     for temperature, limit, text in (
         (hottest, material.T_m, f"reach the melting point ({material.T_m:.0f} K) in flight: melt is not modelled"),
-        (impact, near, f"arrive above {near:.0f} K, {NEAR_MELTING:g} of the melting point: critical velocities are measured below"),
+        (impact, near, f"arrive above {near:.0f} K, {NEAR_MELTING:g} of the melting point: critical velocities"
+        f" are measured only at lower temperatures"),
     ):  # fmt: skip
         over = [D for D, T in zip(diameter, temperature, strict=True) if T >= limit]
         if over:
@@ -130,9 +131,10 @@ def integrate(
 
         m v dv/dx = C_D rho_gas |u - v| (u - v) pi D^2 / 8,    m cp v dT/dx = Nu k pi D (T_r - T)
 
-    rho kg/m^3, cp(T) J/(kg K), diameters D (m): of the spheres; v m/s, T (K): at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2
-    M^2): recovery temperature (White, Viscous Fluid Flow, 1991). points: number of stored points in each piece. All spheres have the
-    same steps in x, and each satisfies the tolerance of the solver.
+    rho (kg/m^3), cp(T) (J/(kg K)), diameters D (m): density, specific heat and diameters of the spheres; v (m/s), T (K): velocity and
+    temperature at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): recovery temperature (White, Viscous Fluid Flow, 1991).
+    points: number of stored points in each piece. All spheres have the same steps in x, and each satisfies the tolerance of the
+    solver.
     """
     from scipy.integrate import solve_ivp
 

@@ -34,23 +34,23 @@ class Gas:
 
     @property
     def R(self) -> float:
-        """Specific gas constant, J/(kg K)."""
+        """Specific gas constant of the gas, J/(kg K)."""
         return R_MOLAR / self.molar_mass
 
     @property
     def cp(self) -> float:
-        """Specific heat, J/(kg K)."""
+        """Specific heat of the gas, J/(kg K)."""
         return self.gamma / (self.gamma - 1) * self.R
 
     def viscosity(self, T: float) -> float:
-        """Viscosity, Pa s, at T (K)."""
+        """Viscosity of the gas, Pa s, at T (K)."""
         theta = T / self.T_ref
         if self.S is None:
             return self.mu_ref * theta**self.n
         return self.mu_ref * theta**1.5 * (self.T_ref + self.S) / (T + self.S)
 
     def conductivity(self, T: float) -> float:
-        """Conductivity, W/(m K), at T (K): mu cp / Pr."""
+        """Thermal conductivity of the gas, W/(m K), at T (K): mu cp / Pr."""
         return self.viscosity(T) * self.cp / self.Pr
 
     def sound(self, T: float) -> float:
@@ -154,7 +154,7 @@ class Flow:
     def __post_init__(self) -> None:
         if self.p0 < (1 - 1e-12) * self.least_pressure:
             raise ColdsprayError(
-                f"pressure = {self.p0 / 1e5:.4g} bar: too low for nozzle {self.nozzle.name}, a shock would stand inside"
+                f"pressure = {self.p0 / 1e5:.4g} bar: too low for nozzle {self.nozzle.name}, because a shock would stand in"
                 f" it: give at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
             )
         if self.layer > 0.9 * self.standoff:
@@ -280,9 +280,11 @@ class Flow:
         notes, end = [], self.exit_pressure / self.ambient
         if end < SEPARATES:
             notes.append(
-                f"over-expanded: {self.exit_pressure / 1e5:.2g} bar at the exit against {self.ambient / 1e5:.3g} outside;"
-                f" below {SEPARATES:g} of it a real flow separates from the wall before the exit, and particles are slower"
+                f"over-expanded: {self.exit_pressure / 1e5:.2g} bar at the exit, {self.ambient / 1e5:.3g} outside;"
+                f" below a ratio of {SEPARATES:g} a real flow separates from the wall in the nozzle, and particles are slower"
             )
         if self.standoff > self.core:
-            notes.append(f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet has slowed")
+            notes.append(
+                f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet is slower there"
+            )
         return notes

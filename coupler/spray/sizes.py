@@ -20,18 +20,18 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of_quantiles(cls, d10: float, d50: float, d90: float) -> "Sizes":
-        """From the diameters D10, D50 and D90 by mass, m."""
+        """The distribution with the diameters D10, D50 and D90 by mass, m."""
         return cls((0.1, 0.5, 0.9), (d10, d50, d90))
 
     @classmethod
     def of_sieves(cls, smallest: float, largest: float) -> "Sizes":
-        """From a range of sieves (m), with the mass fraction SIEVED below it and above it."""
+        """The distribution between two sieve sizes (m), with the mass fraction SIEVED below and above them."""
         return cls((SIEVED, 1.0 - SIEVED), (smallest, largest))
 
     @classmethod
     def of_classes(cls, edges: Sequence[float], shares: Sequence[float]) -> "Sizes":
-        """From n fractions, in any unit, of the mass between n + 1 ascending diameters (m). Raises ValueError if fewer than two
-        diameters have powder below and above."""
+        """The distribution with n mass fractions, in any unit, between n + 1 ascending diameters (m). Raises ValueError if fewer than
+        two diameters have powder below and above."""
         whole, below = sum(shares), 0.0
         known: list[tuple[float, float]] = []
         for edge, share in zip(edges[1:], shares, strict=True):
@@ -39,7 +39,7 @@ class Sizes(NamedTuple):
             if 0.0 < below < (1.0 - 1e-9) * whole and (not known or below / whole > known[-1][0]):
                 known.append((below / whole, edge))
         if len(known) < 2:
-            raise ValueError("fewer than three classes of size contain powder: give more classes, or D10, D50 and D90")
+            raise ValueError("fewer than three size classes contain powder: give more classes, or D10, D50 and D90")
         return cls(*zip(*known, strict=True))
 
     def diameter(self, share: float) -> float:

@@ -30,7 +30,7 @@ def compute(scene: Scene, folder: Path, points: Sequence[int], jobs: int, log: L
     row for each run, the coarsest first. If a run fails, is undecided or needed other numerics, its row has no measures but the
     reason in `failed`. Raises StoreError for fewer than LEAST_POINTS points."""
     if (least := min(points)) < LEAST_POINTS:
-        raise StoreError(f"--points {least} is too coarse: give {LEAST_POINTS} points or more")
+        raise StoreError(f"--points {least} is too coarse: give at least {LEAST_POINTS} points")
     scenes, failed = dict[str, str](), dict[str, str]()
     names = {f"{n}_points": n for n in sorted(set(points))}
     for name, n in names.items():

@@ -26,7 +26,7 @@ FINEST = (
 )
 SECTORS = 8  # of the disc, for the standard error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
-NO_SEEDS = "not measured: coldspray coating DIR --seeds 3 computes three other seeds"
+NO_SEEDS = "not measured: compute three other seeds with coldspray coating DIR --seeds 3"
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
 
@@ -36,7 +36,7 @@ def read(result: Result, before: int | None = None) -> Splats:
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
-        raise StoreError(f"{result.directory} has no impact yet: measure it later")
+        raise StoreError(f"{result.directory} has no impact yet: try again later")
     done = before or int(numbers.max())
     is_cold = before is None and len(result.times(COLD)) > 0
     step = -1 if before is None else first_step(result, before)
@@ -56,7 +56,7 @@ def read(result: Result, before: int | None = None) -> Splats:
         surface = result.fields(-1, "surface")
         last = None if left[-1] else (surface.points, surface.cells)
     elif not left:
-        raise StoreError(f"{result.directory}: no impact is finished yet: measure it later")
+        raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
     impacts = plan.impacts[: len(left)]  # without a last one that is unfinished or undecided
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
     metal = np.array([p.material.name for p in impacts])
@@ -136,7 +136,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     """All measures of a coating. radius (m): radius of the measured disc; default: `disc_radius`. Raises StoreError if there is no
     coating."""
     if not splats.stayed.any():
-        raise StoreError("no particle has stayed on the target: there is no coating to measure; give a run with splats")
+        raise StoreError("no particle has stayed on the target, there is no coating: give a run with splats")
     size, planned = splats.element_size, splats.planned
     radius = radius or disc_radius(splats)
     finished = len(splats.mass)
@@ -178,7 +178,7 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
 
 
 def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
-    """Mean of (xx + yy) / 2 of a stress field over the volume of the coating in the disc, Pa, and its standard error.
+    """Mean of (xx + yy) / 2 of a stress field over the volume of the coating inside a disc, Pa, and its standard error.
 
     radius: radius of the disc, m; name: name of the field; the mean is 0 without this field. The error describes the variation over
     the disc: each of SECTORS sectors is left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd
@@ -217,18 +217,19 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
     def seeds(key: str, factor: float, unit: str) -> str:
         return measures.seeds[key].words(factor, unit) if key in measures.seeds else ""
 
-    parts = f" = {stress - thermal:+.0f} MPa of the impacts {thermal:+.0f} MPa of cooling" if is_cold else ""
+    parts = f" = {stress - thermal:+.0f} MPa from the impacts {thermal:+.0f} MPa from cooling" if is_cold else ""
     texts = {
-        "thickness above the old surface": f"{um['thickness_mean_m']} in the mean, {um['thickness_min_m']} to {um['thickness_max_m']};"
+        "thickness above the original surface": f"{um['thickness_mean_m']} on average, {um['thickness_min_m']}"
+        f" to {um['thickness_max_m']};"
         f" {measures.bare_share:.1%} of the surface is bare{seeds('thickness_mean_m', 1e6, ' µm')}",
         "roughness": f"Sa {um['Sa_m']}, Sq {um['Sq_m']}{seeds('Sa_m', 1e6, ' µm')}",
-        "porosity": f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; too high by up to"
+        "porosity": f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; these are too high by up to"
         f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved"
         + seeds("porosity_closed", 100.0, " %"),
         "deposition efficiency": f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}"
         + seeds("deposition_efficiency", 100.0, " %"),
         f"{'residual stress' if is_cold else 'stress before cooling'}, in plane": f"{stress:+.0f}{error} MPa{parts};"
-        f" mean over the volume of the splats, error from place to place{seeds('stress_in_plane_Pa', 1e-6, ' MPa')}",
+        f" mean over the volume of the splats, the error is the variation over the disc{seeds('stress_in_plane_Pa', 1e-6, ' MPa')}",
         **(
             {
                 "metals": "; ".join(
@@ -240,7 +241,7 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
             if len(measures.phases) > 1
             else {}
         ),
-        "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the patch",
+        "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the coated area",
         "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
     }
     return list(texts.items())

@@ -134,11 +134,11 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
     axis = figure.add_subplot()
     axis.fill_betweenx(z, low, high, color="0.85", label="5 to 95 % of the volume")
     is_cold = "thermal_xx" in rows[0]
-    axis.plot(mean, z, color="black", label="residual stress" if is_cold else "stress, not cooled")
+    axis.plot(mean, z, color="black", label="residual stress" if is_cold else "stress before cooling")
     if is_cold:
         thermal = np.array([0.5e-6 * (row["thermal_xx"] + row["thermal_yy"]) for row in rows])
-        axis.plot(thermal, z, color="#d55e00", label="of cooling (quench)")
-        axis.plot(mean - thermal, z, color="#0072b2", label="of impacts (deposition)")
+        axis.plot(thermal, z, color="#d55e00", label="from cooling (quench)")
+        axis.plot(mean - thermal, z, color="#0072b2", label="from impacts (deposition)")
     axis.axhline(0.0, color="0.4", linewidth=0.8, dashes=(6, 4))
     axis.axvline(0.0, color="0.4", linewidth=0.8)
     axis.set(xlabel="in-plane stress (xx + yy) / 2 (MPa)", ylabel="height above the substrate's surface (µm)")

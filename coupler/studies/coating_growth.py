@@ -32,7 +32,7 @@ def latest(result: Result) -> Row:
     """The row after the impacts that are finished so far. Raises StoreError if no impact is finished."""
     number = int(result.history("impact").max(initial=0.0))
     if number < 2:
-        raise StoreError(f"{result.directory}: no impact is finished yet: measure it later")
+        raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
     built = read(result, number)
     return row(built, disc_radius(built))
 
@@ -61,7 +61,7 @@ def draw(rows: list[Row], path: Path) -> Path:
     share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}
     figure = blank(5.0, 5.5, 160, "constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    above.fill_between(impacts, um["thickness_min_m"], um["thickness_max_m"], color="0.88", label="least to greatest")
+    above.fill_between(impacts, um["thickness_min_m"], um["thickness_max_m"], color="0.88", label="smallest to largest")
     above.plot(impacts, um["thickness_mean_m"], "o-", color="black", markersize=3, label="mean thickness")
     above.plot(impacts, um["Sa_m"], color="#0072b2", label="roughness Sa")
     above.set(ylabel="µm", ylim=(0.0, None))

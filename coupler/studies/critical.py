@@ -86,13 +86,13 @@ class Bracket:
 
     @property
     def words(self) -> str:
-        """The result as one line of text."""
+        """The result of the search as one line of text."""
         if self.low is not None and self.high is not None:
             between = f"; undecided at {', '.join(f'{v:.4g}' for v in self.undecided)} m/s" if self.undecided else ""
             answer = f"critical velocity {self.velocity:.4g} m/s +- {self.half_width:.2g} m/s"
             if not self.shares:
                 return f"{answer}: rebounds at {self.low:.4g}, sticks at {self.high:.4g} m/s{between}"
-            places = ("no velocity computed" if v is None else f"{v:.4g} m/s" for v in self.band)
+            places = ("no velocity is computed yet" if v is None else f"{v:.4g} m/s" for v in self.band)
             ends = (f"{share:.0%} at {place}" for share, place in zip(BAND, places, strict=True))
             return f"{answer}, where half of the placements stick ({' and '.join(ends)})"
         if self.low is not None:
@@ -180,13 +180,14 @@ def check(scene: Scene) -> None:
     problems = []
     if len(scene.particles) != 1:
         problems.append(
-            f"particle: a critical velocity belongs to one impact; this scene has {len(scene.particles)}: leave one"
+            f"particle: a critical velocity belongs to a single impact, but this scene has"
+            f" {len(scene.particles)} particles: keep only one"
         )
     if scene.gas is not None:
-        problems.append("gas: remove this table; the search sets the velocity")
+        problems.append("gas: remove this table, because the search sets the velocity")
     law = scene.derived.adhesion_law
     if not law.in_impact:
-        text = f"adhesion: with this law ({law.words}) no bond is computed, and runs show no critical velocity"
+        text = f"adhesion: with this law ({law.words}) bonds are not computed, so that runs show no critical velocity"
         problems.append(f'{text}: give kind = "cohesive" and a criterion')
     if problems:
         raise SceneError(problems, scene.name)
@@ -196,7 +197,7 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
     """Text line: the velocities at which computed bonds and the formula both give rebound, and at which both give sticking."""
     limits = list(formula.known.values()) if formula.critical is not None else []
     if found.low is None or found.high is None:
-        return f"verdict: by the runs alone; {formula.words()}"
+        return f"verdict: from the runs alone; {formula.words()}"
     low, high = min([found.low, *limits]), max([found.high, *limits])
     return f"verdict: rebounds up to {low:.0f} m/s, sticks from {high:.0f} m/s on, undecided between; {formula.words()}"
 
@@ -208,7 +209,7 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
         return f"error of the resolution: {'not measured' if error is None else f'+- {error:.2g} m/s'}; {told}"
-    return "not in the band: the error of the resolution (error = true under [resolution] measures it)"
+    return "the band does not include the error of the resolution (measure it with error = true under [resolution])"
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
@@ -260,7 +261,9 @@ def search(
         sticking, found = [row["verdict_by_bonds"] for row in here].count(STICKS), answer_of(rows, repeat)
         told = f"{sticking} of {repeat} stick" if repeat > 1 else here[0]["verdict_by_bonds"]
         seconds, left = time.monotonic() - begun, found.halvings(tolerance)
-        to_go = f"{duration(seconds)} for a velocity" + (f", about {duration(left * seconds)} to go" if left else "")
+        to_go = f"{duration(seconds)} for each velocity" + (
+            f", about {duration(left * seconds)} remaining" if left else ""
+        )
         log(f"{which} {told}; {found.words}; {to_go}")
     rows.sort(key=lambda row: (row["velocity_m_s"], row["placement"]))
     write_rows(folder / TABLE, COLUMNS, rows, about)
@@ -299,7 +302,7 @@ def slowest_rebound(rows: Iterable[Row]) -> str | None:
         return None
     velocity, each = min(rebounds.items(), key=lambda item: fmean(item[1]))
     spread = f" +- {stdev(each):.2g}" if len(each) > 1 else ""
-    return f"at {velocity:.4g} m/s it leaves with {fmean(each):.3g}{spread} m/s"
+    return f"at {velocity:.4g} m/s it rebounds with {fmean(each):.3g}{spread} m/s"
 
 
 def point_name(velocity: float, placement: int) -> str:
@@ -332,6 +335,6 @@ def rows_of(folder: Path) -> list[Row]:
 
 
 def _row(run: Path, velocity: float, placement: int) -> Row:
-    """The row of a finished run."""
+    """The table row of a finished run."""
     values = Result(run).values
     return {"velocity_m_s": velocity, "placement": placement} | {key: values.get(key) for key in _MEASURES}

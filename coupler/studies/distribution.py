@@ -93,6 +93,6 @@ def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
         at.set_xlabel(f"{m.label} ({m.unit})" if m.unit else m.label, fontsize=8)
         at.tick_params(labelsize=7)
         if (place - 1) % columns == 0:
-            at.set_ylabel("share of runs below", fontsize=8)
+            at.set_ylabel("share of the runs below this value", fontsize=8)
     figure.suptitle(heading, fontsize=10)
     save(figure, path)

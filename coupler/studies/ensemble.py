@@ -72,9 +72,9 @@ def distribution_of(table: object) -> Distribution:
         raise ValueError(f"{', '.join(numbers)} must have units of the same dimension")
     a, b = (numbers[key][0] for key in keys)
     if kind == "normal" and numbers["deviation"][1] == "degC":
-        raise ValueError("deviation: give it in K")
+        raise ValueError("deviation: give the value in K")
     is_sound, problem = {
-        "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "from must be below to"),
+        "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "the value of from must be below that of to"),
         "log-normal": (a > 0.0 and b > 1.0, "median must be above zero and spread above 1"),
     }[kind]  # fmt: skip
     low, high = (numbers[key][0] if key in numbers else end for key, end in zip(LIMITS, (-np.inf, np.inf), strict=True))
@@ -91,7 +91,7 @@ def _number(key: str, value: object) -> tuple[float, str]:
     try:
         return units.parse(value, units.dimension_of(unit)), unit
     except (LookupError, ValueError):
-        raise ValueError(f'{key}: expected a number, or one with a space and its unit, such as "600 m/s"') from None
+        raise ValueError(f'{key}: expected a number, or a number with its unit, such as "600 m/s"') from None
 
 
 def draws(laws: Sequence[Distribution], count: int, seed: int) -> list[list[object]]:

@@ -38,7 +38,7 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     """
     choice, seconds, then = choose(job, takes, jobs)  # before the folder is made
     folder_of(text, out)
-    log(f"chosen for {duration(job.data.within)}: {choice.words}; about {duration(seconds)} here")
+    log(f"chosen for {duration(job.data.within)}: {choice.words}; about {duration(seconds)} on this machine")
     found = [bonds(job, choice, base, out, jobs, log) for base in job.bases] if choice.bonds else []
     sticks = job.arrived.fates()[STICKS] > 0.0 or any(efficiency(job.arrived, each)[0] > 0.0 for each in found)
     coating = coatings(job, choice, out, jobs, log) if sticks else Coating({}, {})
@@ -53,25 +53,25 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Sequence[
     """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
     coating."""
     lines, sheet = numbers(job, found, coating), Page()
-    pictures = [(embedded(window(job, found)), "The powder in the window of this pair")]
+    pictures = [(embedded(window(job, found)), "The powder and its deposition window on this metal")]
     if coating.measures:
         splats = read(Result(out / next(iter(coating.measures))))
         picture = coating_files.micrograph(splats, out / "micrograph.png", 1.3 * splats.patch)
-        pictures.append((image_of(picture.read_bytes()), "Section of the first coating; pores black"))
+        pictures.append((image_of(picture.read_bytes()), "Cross-section of the first coating; pores are black"))
     images = "".join(
         f'<figure><figcaption>{escape(words)}</figcaption><img src="{image}" alt="{escape(words)}"></figure>'
         for image, words in pictures
     )
     said = "<br>".join(map(escape, known["answer"]))
-    trusted = f'<p class="caption">{escape(RULE)} Ranges in brackets: least and greatest value.</p>'
+    trusted = f'<p class="caption">{escape(RULE)} Ranges in brackets: smallest and largest value.</p>'
     ranges, left = ("; ".join(known[key]) for key in ("errors_in", "errors_not_in"))
     errors = f'<p class="caption">{escape(f"The ranges include: {ranges}. They do not include: {left}.")}</p>'
     front = f'<p id="verdict">{said}</p>{_table(lines)}{errors}{trusted}<div class="two">{images}</div>'
     failed = [f"{name}: {why}" for name, why in known["failed"].items()]
     front += "".join(f'<p class="warn">{escape(line)}</p>' for line in failed)
     sheet.section("computed", "How it was computed", _computed(known, found, coating))
-    sheet.section("time", "What more time buys", f"<p>{escape(known['more_time'])}.</p>")
-    sheet.section("assumed", "What is assumed", parts.items(_assumed(job)))
+    sheet.section("time", "What more time would give", f"<p>{escape(known['more_time'])}.</p>")
+    sheet.section("assumed", "Assumptions", parts.items(_assumed(job)))
     sheet.section("job", "The job", f"<pre>{escape(text)}</pre>")
     return sheet.html(
         f"{job.data.powder.material} on {job.data.substrate.material}: does it stick?",
@@ -104,7 +104,7 @@ def _table(lines: Sequence[Number]) -> str:
 def _computed(known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
     runs = [f"{each.folder}: search of the critical velocity on {each.base}; {each.found.words}" for each in found]
     runs += [
-        f"{folder}: {c.of} particles, {c.thickness_mean_m * 1e6:.1f} µm thick in the mean"
+        f"{folder}: {c.of} particles, {c.thickness_mean_m * 1e6:.1f} µm mean thickness"
         for folder, c in coating.measures.items()
     ]
     how = "Each folder has the scene.toml of its run: coldspray report FOLDER shows a run, coldspray run computes its scene again."
@@ -118,7 +118,7 @@ def _assumed(job: Job) -> list[str]:
         "feed_rate": f"{6e4 * track.feed_rate:.3g} g/min", "traverse_speed": f"{1e3 * track.traverse_speed:.4g} mm/s",
         "spot": f"{1e3 * track.spot:.3g} mm",
     }  # fmt: skip
-    texts = [f"spray.{key} = {value}: the job does not say it" for key, value in known.items() if key not in raw]
+    texts = [f"spray.{key} = {value}: an assumed value" for key, value in known.items() if key not in raw]
     if isinstance(job.data.powder.sizes, tuple) and len(job.data.powder.sizes) == 2:
         texts.append("5 % of the powder's mass below and 5 % above the sieves, log-normal between them")
     texts += [f"nozzle {job.nozzle.name}: {job.nozzle.assumed}"] if job.nozzle.assumed else []

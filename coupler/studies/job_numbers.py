@@ -94,7 +94,7 @@ def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
         if is_own
         else f"Share of the powder that sticks on {base}"
     )
-    how = "mass that flies faster than its critical velocity, and slower than twice that (erosion)"
+    how = "mass of particles between 1 and 2 times (erosion) their critical velocity"
     values = {"formula": share, "computed": of_bonds}
     by_bonds_too = _percent(of_bonds) if of_bonds else ""
     return [critical, Number(label, _percent(share), by_bonds_too, values, *marked, how, folder)]
@@ -128,7 +128,8 @@ def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: f
     for label, of, value, factor, unit, how in (
         ("Porosity", ("density",), pores, 100.0, "%", f"open and closed pores thicker than {1e6 * first.void_limit_m:.2f} µm"),
         ("Roughness Sa", (), lambda c: c.Sa_m, 1e6, "µm", "mean distance of the surface from its mean height"),
-        ("Residual stress in the plane", ("stress",), lambda c: c.stress_in_plane_Pa, 1e-6, "MPa", "mean, cold; minus is compression"),
+        ("Residual stress in the plane", ("stress",), lambda c: c.stress_in_plane_Pa, 1e-6, "MPa", "mean of the"
+        " cold coating; negative values are compression"),
     ):  # fmt: skip
         over = coating.over(value)
         mean, error = factor * over.mean, factor * over.error
@@ -166,7 +167,7 @@ def answer(job: Job, lines: Sequence[Number]) -> list[str]:
         if (by_formula := line.values.get("formula")) is None or "ritical" in line.label or "Thickness" in line.label:
             continue
         by_bonds = line.values["computed"]
-        text = f"{line.label}: {line.formula} by the formula, {line.computed if by_bonds else 'not computed'} by bonds."
+        text = f"{line.label}: {line.formula} by the formula, {line.computed if by_bonds else 'not computed'} by computed bonds."
         apart = by_bonds is not None and (by_formula[0] > AGREE) != (by_bonds[0] > AGREE)
         texts.append(f"{APART} {text}" if apart else text)
     coating = ", ".join(
@@ -199,12 +200,12 @@ def record(
     is_in = {
         "resolution of the impacts": choice.coarser,
         "strength of the powder": choice.sets,
-        "chance of the coating": choice.seeds > 1,
+        "scatter between coatings": choice.seeds > 1,
     }
     more = (
-        f"{duration(then[1])} would buy: {then[0].words}"
+        f"{duration(then[1])} would allow: {then[0].words}"
         if then
-        else "more time changes nothing: a job computes no more than this"
+        else "more time changes nothing: this is the most that a job computes"
     )
     return {
         "job": job.name, "answer": answer(job, lines), "numbers": [asdict(line) for line in lines],

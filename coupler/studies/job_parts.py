@@ -79,7 +79,7 @@ def folder_of(text: str, out: Path) -> None:
     claim_folder(out, "job", FILES)
     kept = out / FILES[0]
     if kept.exists() and {**read_toml(kept), "within": ""} != {**parse_toml(text), "within": ""}:
-        raise StoreError(f"{out} holds another job: name another folder with --out, or remove it")
+        raise StoreError(f"{out} holds another job: choose another folder with --out, or remove this one")
     write_text(kept, text)
 
 
@@ -114,7 +114,7 @@ def with_errors(job: Job, choice: Choice, known: Bonds, out: Path, jobs: int, lo
         try:
             other = search(job, known.base, points, OTHER, 1, out, jobs, log, strength)
         except ColdsprayError as problem:
-            log(f"left out of the error: {problem}")
+            log(f"the error does not include: {problem}")
             continue
         if strength:
             sets[strength] = other

@@ -50,16 +50,16 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
         done = [row for row in own if row["status"] == "done"]
         used = tuple(axes) or maps.varying(done)
         if not used or any(row[axis] is None for axis in used for row in done) or len(done) < 2:
-            none = f"its {len(done)} finished points vary in none of the axes"
+            none = f"none of the axes varies between its {len(done)} finished points"
             remarks.append(f"{material}: no map; {none}: give keys of the scene with --axes")
             continue
         if others := others_that_vary(done, used):
             remarks.append(
-                f"{material}: points with the same axes differ in {', '.join(others[:5])}: add it with --axes"
+                f"{material}: points with the same axes differ in {', '.join(others[:5])}: add this key with --axes"
             )
         for quantity in quantities:
             remarks += _drawn(out / f"map_{material}_{quantity}.png", own, used, quantity)
-    return remarks or ["no map: no point is done"]
+    return remarks or ["no map: no point is finished"]
 
 
 def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[str]:
@@ -67,7 +67,7 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
     m, done = MEASURES[quantity], [row for row in rows if row["status"] == "done"]
     head = f"{rows[0]['material']}, {m.label}"
     if all(row[quantity] is None for row in done):
-        return [f"{head}: no map; no point has this measure"]
+        return [f"{head}: no map, because no point has this measure"]
     try:
         with reading(path.name):
             point, fit, problem = maps.best_point(rows, quantity, axes)
@@ -85,11 +85,11 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
     if errors := errors_of(rows, quantity):
         middle, most = (f"{m.factor * end:.3g}" for end in (np.median(errors), max(errors)))
         told = f"{middle} {m.unit}".rstrip()
-        remarks.append(f"  error of the resolution: {told} in the median, {most} at most")
+        remarks.append(f"  error of the resolution: {told} median, {most} largest")
     if fit is not None and len(axes) > 1 and quantity not in FORMULAS and maps.brackets(done, axes):
-        remarks.append("  the verdict changes between points: the surface is smooth there, where the measure can jump")
+        remarks.append("  the verdict changes between points: the surface is smooth there, but the measure can jump")
     if point.at:
-        remarks.append(f"  next point worth a run: {point.words}; --refine 1 runs it")
+        remarks.append(f"  best next point: {point.words}; compute it with --refine 1")
     elif quantity in FORMULAS:
         remarks.append(f"  no next point: {point.why}")
     return remarks
@@ -120,7 +120,7 @@ def _form_lines(rows: Sequence[Row], axes: Axes_) -> bool:
 
 
 def _longest(rows: Sequence[Row], axes: Axes_) -> str:
-    """The axis with the most values."""
+    """The axis that has the most values."""
     return max(axes, key=lambda axis: len({row[axis] for row in rows}))
 
 
@@ -238,7 +238,7 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
 
 def _fields(done: Sequence[Row], axes: Axes_, value: float | None, fit: Interpolation) -> tuple[NDArray, ...]:
     """x, y, mean and half width of the band on a grid over the range of the points, (GRID,GRID) each; NaN outside their convex hull.
-    value: of the third axis."""
+    value: value of the third axis."""
     x, y = np.meshgrid(*(_spaced(np.array([row[axis] for row in done]), axis, GRID) for axis in axes[:2]))
     at = (x, y) if value is None else (x, y, np.full_like(x, value))
     mean, std = (np.where(fit.inside(*at), values, np.nan) for values in fit(*at))
@@ -316,7 +316,7 @@ def _heading(rows: Sequence[Row], done: Sequence[Row]) -> str:
 
 
 def _in_units(axis: Axis, key: str) -> None:
-    """Label an axis of SI values in the display unit of a measure."""
+    """Label an axis, whose values are in SI, in the display unit of a measure."""
     factor = measure(key).factor
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v * factor:.4g}"))
 

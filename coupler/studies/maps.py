@@ -36,7 +36,7 @@ FORMULAS = ("velocity_ratio",)  # measures that follow from the scene without a 
 LONGEST = 3.0  # largest correlation length over the range of its axis
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
 DIGITS = 4  # of the coordinates of a new point
-_ALIKE = "all runs have the same inputs: vary at least one axis"
+_ALIKE = "all runs have the same input: vary at least one axis"
 Place = tuple[float, ...]  # a parameter point: values of the axes, SI
 
 
@@ -111,7 +111,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         model.fit(standard, y)
     lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
     short = [measure(name).short for name, n, (low, _) in zip(names, lengths, bounds, strict=True) if n <= 1.01 * low]
-    end = "within the distance of two points: more of them are needed"
+    end = "over less than the distance of two points: more points are needed"
     told = tuple(f"{measure(quantity).label} changes along {name} {end}" for name in short)
     inverse, unit = np.linalg.inv(model.kernel_(model.X_train_)), float(y.std()) or 1.0
     off = inverse @ model.y_train_ / np.diag(inverse)
@@ -296,7 +296,7 @@ def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
 
 
 def place_words(at: Mapping[str, float]) -> str:
-    """A parameter point as text."""
+    """The values of a parameter point as text."""
     return ", ".join(shown(axis, value) for axis, value in at.items())
 
 
@@ -332,7 +332,7 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
 
 
 def varying(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Those of AXES that have more than one value in the rows."""
+    """Those of AXES whose value differs between the rows."""
     return tuple(axis for axis in AXES if len({row[axis] for row in rows if row[axis] is not None}) > 1)
 
 

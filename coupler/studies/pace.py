@@ -44,13 +44,13 @@ def lines(plan: Plan, pace: Pace, verbose: bool = True) -> str:
     from."""
     shares = refinement.forecast(plan.impacts[-1].points)
     cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in CONVERGING if name in shares]
-    text = f"a forecast: +- {', '.join(cells)}; the run measures its own"
+    text = f"expected: +- {', '.join(cells)}; the run measures its actual error"
     lines = [
         f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}",
         fill(text, 119, initial_indent="  error      ", subsequent_indent=" " * 13),
     ]
     if verbose:
-        lines.append("             of the discretisation alone, the median of 24 scenes (docs/evidence/accuracy.md)")
+        lines.append("             error of the discretisation alone, median of 24 scenes (docs/evidence/accuracy.md)")
     return "\n".join(lines)
 
 
@@ -63,12 +63,14 @@ def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
         try:
             factor = measure()
         except (ColdsprayError, ImportError, OSError) as error:
-            return Pace(1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
+            return Pace(
+                1.0, f"of another machine, because timing this one failed ({' '.join(str(error).split())[:60]})"
+            )
         known[key] = {"factor": factor, "date": date.today().isoformat()}
         with suppress(OSError, StoreError):  # the folder may be read-only
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, json.dumps(known, indent=1))
-    return Pace(known[key]["factor"], f"timed on {known[key]['date']} (--recalibrate repeats it)")
+    return Pace(known[key]["factor"], f"timed on {known[key]['date']} (measure again with --recalibrate)")
 
 
 def machine() -> str:

@@ -65,7 +65,7 @@ def run_points(
     kept = {point: str(known["status"]) for point, text in points.items() if (known := _kept(folder, point, text))}
     statuses = kept | statuses
     if kept:
-        log(f"{len(kept)} of {len(points)} points have ended before")
+        log(f"{len(kept)} of {len(points)} points are already computed")
     begun, ended_before = time.monotonic(), len(statuses)
     wanted = {point: text for point, text in points.items() if point not in statuses}
     here = isinstance(pool, ThreadPoolExecutor)  # a worker elsewhere has one core
@@ -79,11 +79,11 @@ def run_points(
             except InterruptedRunError as error:
                 ended = {"status": "stopped", "reason": str(error)}
             except Exception as error:  # the worker itself was lost
-                ended = {"status": "stopped", "reason": f"its worker was lost ({error or type(error).__name__})"}
+                ended = {"status": "stopped", "reason": f"its process was lost ({error or type(error).__name__})"}
             statuses[point] = str(ended["status"])
             left = len(points) - len(statuses)
             to_go = left * (time.monotonic() - begun) / (len(statuses) - ended_before)
-            after = f"; about {duration(to_go)} to go" if left else ""
+            after = f"; about {duration(to_go)} remaining" if left else ""
             log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}{after}")
     except BaseException:
         with contextlib.suppress(Exception), warnings.catch_warnings():
@@ -153,7 +153,7 @@ def compute(scene: Path, threads: int = 1) -> dict[str, object]:
             _running.discard(run)
     code = run.returncode
     if code in {*(-number for number in STOPS), *(128 + number for number in STOPS)}:
-        raise InterruptedRunError(f"the run in {folder} was stopped; the same command continues it")
+        raise InterruptedRunError(f"the run in {folder} was stopped; repeat the command to continue it")
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
     write_text(scene.with_suffix(".json"), json.dumps(ended, indent=1) + "\n")
     return ended
@@ -206,7 +206,7 @@ def how_ended(path: Path) -> dict[str, object] | None:
 
 def reason_of(folder: Path, point: str) -> str:
     """Why a point of a folder has no result."""
-    return str((how_ended(folder / f"{point}.json") or {}).get("reason") or "it was stopped")
+    return str((how_ended(folder / f"{point}.json") or {}).get("reason") or "the run was stopped")
 
 
 def status_text(ended: Mapping[str, object]) -> str:

@@ -44,7 +44,7 @@ def table(folder: str | Path) -> list[Row]:
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
     names |= {path.stem for path in folder.glob("*.toml") if "particle" in _scene_of(path)}
     if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # the folder of a study
-        raise StoreError(f"{folder} has no runs: its runs are in {inner}, give that folder")
+        raise StoreError(f"{folder} has no runs, but {inner} has: give that folder")
     rows = [_readable_row(folder, name) for name in names]
     if not rows:
         raise StoreError(
@@ -54,7 +54,7 @@ def table(folder: str | Path) -> list[Row]:
 
 
 def _readable_row(folder: Path, name: str) -> Row:
-    """The row of a point. A point whose files cannot be read counts as failed."""
+    """The row of a point. If its files cannot be read, the point counts as failed."""
     try:
         with reading(folder / name):
             return _row(folder, name)
@@ -136,7 +136,7 @@ def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
 
 
 def counts(rows: Sequence[Row]) -> dict[str, int]:
-    """Number of rows with each of STATUSES."""
+    """Number of rows for each of STATUSES."""
     return {status: sum(row["status"] == status for row in rows) for status in STATUSES}
 
 

@@ -18,12 +18,12 @@ from ..geometry.triangles import area_vectors
 class Splats:
     """A coating at a stored step, or cold after the closing stage (is_cold).
 
-    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact
-    from which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as
-    (points (k,3) m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the
-    coating; mass (n,) kg; metal (n,): name; planned: impacts of the run, in `layers` layers; patch: radius of the disc on which
-    centres of particles fall, m; element_size: of the splats, m; undecided: indices of impacts without a verdict, which count as
-    stayed.
+    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact from
+    which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as (points (k,3)
+    m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
+    kg: mass of each particle; metal (n,): name of the metal of each particle; planned: impacts of the run, in `layers` layers; patch:
+    radius of the disc on which centres of particles fall, m; element_size (m): element size of the splats; undecided: indices of
+    impacts without a verdict, which count as stayed.
     """
 
     mesh: Fields
@@ -42,7 +42,7 @@ class Splats:
 
     @property
     def deposition_efficiency(self) -> float:
-        """Mass in the coating over the mass of all particles of finished impacts; undecided particles count as stayed."""
+        """Mass in the coating divided by the mass of all particles of finished impacts. Undecided particles count as stayed."""
         return float(self.mass @ self.stayed / self.mass.sum())
 
     @property

@@ -63,7 +63,7 @@ def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Log) -> dic
 # choice of the model, which names the folder of its runs -> the function that makes the other scenes, message if there are none
 SPREADS = {
     "strength": (other_sets, "the library has no other strength set for the metals of this scene"),
-    "friction": (other_frictions, "the effects of this scene leave friction out"),
+    "friction": (other_frictions, "the effects of this scene exclude friction"),
 }
 
 
@@ -79,4 +79,4 @@ def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
             rows.append((measure(key).label, shown(key, result.values[key], errors.get(key)), *ends, measure(key).unit))
     verdicts = [str(other.values.get("verdict")) for other in others.values()]
     counted = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))
-    return [f"with {', '.join(others)}:", *in_columns(rows), f"verdicts with them: {counted}"]
+    return [f"with {', '.join(others)}:", *in_columns(rows), f"verdicts of these runs: {counted}"]

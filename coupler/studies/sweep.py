@@ -67,7 +67,7 @@ class Sweep:
             f"{key}: unknown key{nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in data if key not in _KEYS
         ]
         if not {"scene", "points", "ensemble"} & data.keys() and {"particle", "coating"} & data.keys():
-            raise SceneError([f"is a scene, not the file of a sweep: run coldspray run {source}"], source)
+            raise SceneError([f"this is a scene, not the file of a sweep: run coldspray run {source}"], source)
         name = data.get("name", safe_name(source))
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
             problems.append("name: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)")
@@ -82,7 +82,7 @@ class Sweep:
         if not is_ensemble:
             varied = tuple(key for key in varied if len({repr(point.get(key)) for point in settings}) > 1)
         if not problems and not settings:
-            problems.append("points: no point; give a key of the scene and its values")
+            problems.append("points: there is no point; give a key of the scene and its values")
         if problems:
             raise SceneError(problems, source)
         scenes: dict[str, str] = {}
@@ -170,7 +170,7 @@ def _ratios(target: object, problems: list[str]) -> dict[str, float]:
         if key in SUBSTRATE and is_number and 1.0 <= float(str(value)) <= 1000.0:
             ratios[key] = float(str(value))
         else:
-            expected = "diameter and height of the target over the diameter of the particle, 1 to 1000"
+            expected = "diameter and height of the target divided by the diameter of the particle, 1 to 1000"
             problems.append(f"target.{key}: expected {expected}")
     return ratios
 

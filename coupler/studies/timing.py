@@ -52,6 +52,6 @@ def _timed() -> float:
     steps = [(t1 - t0) / (n1 - n0) for (t0, n0), (t1, n1) in itertools.pairwise(marks) if n1 > n0]
     if len(steps) < FEWEST_CHUNKS:
         raise SolverError(
-            f"the timing run has only {len(steps)} groups of steps, {FEWEST_CHUNKS} are needed: repeat the command"
+            f"the timing run has only {len(steps)} chunks of time steps, but {FEWEST_CHUNKS} are needed: repeat the command"
         )
     return statistics.median(steps) / expected

@@ -52,7 +52,7 @@ def mark(quantities: Sequence[str], metal: str, velocity: float, base: str = "")
         return Mark(RED, "not compared with measurements")
     worst, why = max((colour for colour, _ in each), key=MARKS.index), "; ".join(text for _, text in each)
     if base and base != metal and worst == GREEN:
-        worst, why = AMBER, f"{why}; none on {base}"
+        worst, why = AMBER, f"{why}; no measurement on {base}"
     return Mark(worst, why)
 
 
@@ -64,8 +64,9 @@ def _mark(quantity: str, metal: str, velocity: float) -> Mark:
     met, met_own = (sum(row.apart == "no" for row in group) for group in (rows, own))
     if own:
         colour = GREEN if met_own == len(own) else AMBER if met_own else RED
-        return Mark(colour, f"{quantity}: {met_own} of {len(own)} measured for {kind} met")
+        return Mark(colour, f"{quantity}: {met_own} of {len(own)} measurements on {kind} agree")
     colour = AMBER if 2 * met >= len(rows) else RED
     return Mark(
-        colour, f"{quantity}: none for {kind or metal} near {velocity:.0f} m/s, {met} of {len(rows)} met elsewhere"
+        colour,
+        f"{quantity}: no measurement on {kind or metal} near {velocity:.0f} m/s, {met} of {len(rows)} others agree",
     )

@@ -31,7 +31,7 @@ R = TypeVar("R")
 @dataclass(frozen=True)
 class Cut:
     """Record of a sub-domain. part: its domain and indices; nodes, elements: indices in the full domain that its impact can change;
-    balance, sums, bonds: energies of its target, contact and bonds (`_energies`) before the impact."""
+    balance, sums, bonds: energies of its target, its contact and its bonds before the impact."""
 
     part: Selection
     nodes: np.ndarray
@@ -147,13 +147,13 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
 
 
 def _sums(bodies: Bodies) -> ContactSums:
-    """Energy sums of the contact between bodies."""
+    """The energy sums of the contact between bodies."""
     past = bodies.past()
     return ContactSums() if past is None else past.sums
 
 
 def _energies(bond: Bond | None) -> np.ndarray:
-    """Stored and dissipated energy (2,) J of bonds."""
+    """Stored and dissipated energy (2,) J of a set of bonds."""
     return np.array((0.0, 0.0) if bond is None else (bond.stored, bond.dissipated))
 
 
@@ -183,7 +183,7 @@ def _bonds(
 
 
 def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Mask (k,) of the bonds between nodes (k,) and triangles (k,3) with a node of the mask `which`."""
+    """Mask (k,) of the bonds, between nodes (k,) and triangles (k,3), that have at least one node of the mask `which`."""
     return which[nodes] | which[triangles].any(axis=1)
 
 

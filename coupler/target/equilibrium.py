@@ -95,7 +95,7 @@ def settle(
 
 
 def _stored(bodies: Bodies) -> float:
-    """Energy (J) without kinetic energy. The damping dissipates the amount by which it decreases."""
+    """All energy (J) except kinetic energy. The damping dissipates the amount by which it decreases."""
     t = bodies.target
     return t.elastic() + t.balance.plastic + bodies.energy
 
@@ -103,7 +103,7 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which is an energy in J here. known, back: see
+    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which here is an energy in J. known, back: see
     `settle`."""
     t = bodies.target
     m = t.active_elements

@@ -99,7 +99,7 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
         left = max(left - abs(offset), 0.0)
     if abs(error := volumes(points, splat.tets).sum() / whole - 1.0) > LOST_VOLUME:
         raise SolverError(
-            f"a splat changed its volume by {error:+.1%} when it was fitted to the surface below it, allowed {LOST_VOLUME:.0%}:"
+            f"a splat changed its volume by {error:+.1%} when it was fitted to the surface below it (limit {LOST_VOLUME:.0%}):"
             " try a finer preset, or another [splat] method"
         )
     return points

@@ -15,7 +15,7 @@ from .domain import Point
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> float:
     """Vertical displacement (m) after which the surface of a body just touches the facets below; -inf if there are no facets below.
 
-    vertices (k,3) m: of the body's surface; x (n,3) m, facets (f,3): of the surfaces below.
+    vertices (k,3) m: vertices of the body's surface; x (n,3) m, facets (f,3): nodes and facets of the surfaces below.
     """
     return float(np.max(heights_at(vertices[:, :2], x, facets) - vertices[:, 2], initial=-np.inf))
 

@@ -135,7 +135,7 @@ def test_a_run_is_stopped_goes_on_and_outlives_tab_and_server(
     browser.until(says("wall time"))
     browser.type(field("coating number"), "4")
     browser.click("run")
-    browser.until(says("kinetic energy left"))
+    browser.until(says("remaining kinetic energy"))
     browser.click("stop")
     browser.until(says("stopped"))
     assert not (root / "runs" / "coating-1" / "summary.json").exists()

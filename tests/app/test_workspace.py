@@ -50,7 +50,7 @@ def test_a_command_waits_for_its_turn_and_is_known_to_another_server(workspace: 
         assert [(row.name, row.state) for row in other.rows()] == [("waits", QUEUED)]
         with pytest.raises(StoreError, match="in the queue or running"):
             other.start(folder, "shapes")
-        with pytest.raises(StoreError, match="not deleted"):
+        with pytest.raises(StoreError, match="cannot be deleted"):
             other.delete(folder)
     ended(folder)
     assert not alive(folder)
@@ -86,7 +86,7 @@ def test_a_folder_goes_on_with_its_own_scene_or_not_at_all(
     for name in ("single-1", "sweep/single-1"):
         folder = workspace.folder(name)
         folder.mkdir(parents=True)
-        with pytest.raises(StoreError, match="no folder of a run"):
+        with pytest.raises(StoreError, match="not the folder of a run"):
             workspace.go_on(folder)
         (folder / LOG).touch()
         workspace.go_on(folder)
@@ -129,7 +129,7 @@ def test_only_results_are_deleted(workspace: Workspace, tmp_path: Path) -> None:
     link.symlink_to(folder)
     assert [row.name for row in workspace.rows()] == ["mine"]
     for place in (foreign, link):
-        with pytest.raises(StoreError, match="not deleted"):
+        with pytest.raises(StoreError, match="cannot be deleted"):
             workspace.delete(place)
     workspace.delete(folder)
     assert sorted(path.name for path in workspace.runs.iterdir()) == ["link", "notes"]

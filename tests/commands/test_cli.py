@@ -115,7 +115,7 @@ GAS = "gas --pressure '40 bar' --temperature '800 C' --nozzle D42PBI --gas heliu
         ("{0} nothing 2>/dev/full", 2, ""),
         ("PYTHONIOENCODING=ascii {0} " + GAS, 0, ""),  # its table has µ
         ("MPLBACKEND=module://matplotlib_inline.backend_inline {0} " + GAS + " --png x.png", 0, ""),
-        ("{0} check $'x\\xff.toml'", 2, "coldspray: the name 'x\\udcff.toml' is not in UTF-8: rename it\n"),
+        ("{0} check $'x\\xff.toml'", 2, "coldspray: the file name 'x\\udcff.toml' is not in UTF-8: rename the file\n"),
     ],
 )
 def test_surroundings_end_no_command_with_a_traceback(line: str, code: int, says: str, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_progress_ends_no_run() -> None:
         (OSError("libmpi.so.12: cannot open shared object file: No such file"), "make setup"),
         (
             ModuleNotFoundError("No module named 'annotated_types'", name="annotated_types"),
-            "package annotated_types is missing: set the environment up again with `make setup`",
+            "package annotated_types is missing: repeat the installation with `make setup`",
         ),
     ],
 )
@@ -264,7 +264,7 @@ def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(m
         for step in range(1, 101):
             now[0] += 0.1
             progress.update(taken * step / 100, 0.5, 3e-11, step)
-            found = re.search(r"about (\d+) s to go", progress.status(now[0]))
+            found = re.search(r"about (\d+) s remaining", progress.status(now[0]))
             if found:
                 left.append((now[0] - 100.0, int(found[1])))
         progress.stage("joining")
@@ -386,13 +386,16 @@ def test_quiet_progress_says_nothing():
         (["sweep", "one.toml"], "is a scene, not the file of a sweep: run coldspray run one.toml"),
         (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
         (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),
-        (["run", "one.toml", "--jobs", "0"], "'0' is not a whole number above zero"),
-        (["critical", "one.toml", "--high", "99999 m/s"], "--high 99999 m/s: is outside 10 m/s to 2000 m/s"),
-        (["critical", "one.toml", "--repeat", "1000000"], "1000000 is too many: 100 at most"),
-        (["run", "one.toml", "--threads", "0"], "'0' is not a whole number above zero"),
+        (["run", "one.toml", "--jobs", "0"], "'0' is not a whole number of at least 1"),
+        (
+            ["critical", "one.toml", "--high", "99999 m/s"],
+            "--high 99999 m/s: the value must be between 10 m/s and 2000 m/s",
+        ),
+        (["critical", "one.toml", "--repeat", "1000000"], "1000000 is too large: the largest allowed number is 100"),
+        (["run", "one.toml", "--threads", "0"], "'0' is not a whole number of at least 1"),
         (["map", "single"], "is the folder of a single run: give a folder that holds several"),
-        (["report", "ressults"], 'is not a folder of results (did you mean "results"?)'),
-        (["report", "one.toml"], "is not a folder of results; a scene's results are in runs/NAME"),
+        (["report", "ressults"], 'is not a results folder (did you mean "results"?)'),
+        (["report", "one.toml"], "is not a results folder; a scene's results are in runs/NAME"),
     ],
 )
 def test_a_wrong_command_is_told_the_right_one(words, says, tmp_path, monkeypatch, capsys):

@@ -77,7 +77,7 @@ def tables_of(tmp_path: Path) -> dict[str, dict[str, object]]:
         ("114", "", "row 3 (X), column B: is empty"),
         (",me", ",", "row 3 (X), column source: is empty"),
         ("0.33", "soft", "row 3 (X), column nu: must be a plain number"),
-        ("X", "Al 6061-T6", "row 3 (Al_6061-T6), column name: is also in another row"),
+        ("X", "Al 6061-T6", "row 3 (Al_6061-T6), column name: is already used in another row"),
         ("0.42", "0,42", "row 3 (X), column source: is followed by more cells: with decimal commas, separate"),
     ],
 )
@@ -90,11 +90,11 @@ def test_a_fault_names_its_row_and_column(tmp_path, capsys, old, new, says):
 
 def test_a_table_without_its_columns_is_refused(tmp_path, capsys):
     assert imported(tmp_path, HEAD.replace(",nu", ""), ROW) == 2
-    assert "row 1: it lacks the columns nu; needed: name, A, B" in capsys.readouterr().err
+    assert "row 1: the columns nu are missing; needed: name, A, B" in capsys.readouterr().err
     assert imported(tmp_path, HEAD) == 2
     assert "has no rows" in capsys.readouterr().err
     assert imported(tmp_path, HEAD, ROW.replace("Lesuer", "L" * 200_000)) == 2
-    assert "is not a csv table: field larger than field limit" in capsys.readouterr().err
+    assert "the file is not a CSV table: field larger than field limit" in capsys.readouterr().err
 
 
 def test_a_run_holds_what_it_uses_of_the_library(tmp_path):

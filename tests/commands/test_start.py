@@ -26,7 +26,7 @@ assert locale.localeconv()["decimal_point"] == ","
 
 def test_a_process_computes_one_run_at_a_time() -> None:
     """A second one, in another thread, would share its standard output: refused, and possible once the first is over."""
-    with whole_process(), pytest.raises(PlacementError, match="in a process of its own"), whole_process():
+    with whole_process(), pytest.raises(PlacementError, match="in its own process"), whole_process():
         pass
     with whole_process():
         pass

@@ -50,13 +50,13 @@ def problems(text: str) -> list[str]:
 
 def test_ambient_stays_below_the_melting_point() -> None:
     text = scenes.scene(("Ni", 25, 500)) + '[end]\nat = "cold"\nambient = "5000 K"\n'
-    assert problems(text)[0].startswith('end.ambient = "5000 K": must stay below')
+    assert problems(text)[0].startswith('end.ambient = "5000 K": must be below')
 
 
 def test_a_value_without_quotes_is_told_by_its_line() -> None:
     (problem,) = problems(scenes.NI.replace('"500 m/s"', "500 m/s"))
     assert "velocity = 500 m/s" in problem
-    assert 'a value with its unit stands in quotes, such as "25 um"' in problem
+    assert 'write a value with its unit in quotes, such as "25 um"' in problem
 
 
 def test_an_example_has_the_type_of_the_field() -> None:
@@ -103,10 +103,10 @@ def test_a_band_of_efficiency_holds_the_efficiency() -> None:
 def test_more_time_needs_a_finished_run_with_a_checkpoint(shared_run: SharedRuns, tmp_path: Path) -> None:
     copy = shutil.copytree(shared_run(scenes.SHORT).directory, tmp_path / "run")
     checkpoint.clear(copy)
-    with pytest.raises(CheckpointError, match="has no checkpoint: --until cannot continue it"):
+    with pytest.raises(CheckpointError, match="has no checkpoint, so that --until cannot continue it"):
         resume(copy, until=20e-9, quiet=True)
     (copy / "summary.json").unlink()
-    with pytest.raises(CheckpointError, match="is not finished: resume it without --until first"):
+    with pytest.raises(CheckpointError, match="is not finished: first resume it without --until"):
         resume(copy, until=20e-9, quiet=True)
 
 
@@ -202,14 +202,14 @@ def test_a_map_of_a_measure_that_no_run_has_is_not_drawn(tmp_path: Path, capsys:
         write_scene(tmp_path, name, few.points[name])
         pretend(tmp_path, name, flattening_ratio=0.5)
     assert main(["map", str(tmp_path), "--show", "crater_depth_m"]) == 0
-    assert "no map; no point has this measure" in capsys.readouterr().out
+    assert "no map, because no point has this measure" in capsys.readouterr().out
     assert not list(tmp_path.glob("*.png"))
 
 
 def test_a_resolution_that_is_chosen_says_what_it_takes_the_place_of() -> None:
     free = [("resolution.spacing", None), ("resolution.element_size", None)]
     given = Scene.from_text(scenes.NI, "x", [("resolution.spacing", '"1 um"'), free[1]])
-    assert chosen(given, None, "5%")[1].endswith("; in place of resolution.spacing of the scene")
+    assert chosen(given, None, "5%")[1].endswith("; this replaces resolution.spacing in the scene")
     assert "in place" not in chosen(Scene.from_text(scenes.NI, "x", free), None, "5%")[1]
 
 

@@ -26,7 +26,7 @@ def test_an_unfinished_run_is_shown_as_far_as_it_is(
     assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before
     (copy / "history.csv").unlink()
     assert main(["watch", str(copy), "--once"]) == 0
-    assert "no row of the history yet" in capsys.readouterr().out
+    assert "the history has no row yet" in capsys.readouterr().out
     for path in copy.iterdir():
         os.utime(path, (1e9, 1e9))
     assert main(["watch", str(copy), "--once"]) == 0
@@ -35,4 +35,4 @@ def test_an_unfinished_run_is_shown_as_far_as_it_is(
 
 def test_a_finished_run_ends_with_its_first_screen(shared_run: SharedRuns, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", str(shared_run(SHORT).directory)]) == 0
-    assert "flattening, above surface" in capsys.readouterr().out
+    assert "flattening above the surface" in capsys.readouterr().out

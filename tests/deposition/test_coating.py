@@ -69,7 +69,7 @@ def test_even_places_keep_apart() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("layers = 4", "layers = 3", "layers that divide number = 40"),
+        ("layers = 4", "layers = 3", "a value that divides number = 40"),
         ('smallest = "18 um"', 'smallest = "24 um"', "smallest <= diameter <= largest"),
         ("number = 40", "number = 0", "coating.number"),
         ("{ sphere = 0.5, oblate = 0.5 }", "{ cube = 1.0 }", "coating.shapes"),
@@ -79,7 +79,7 @@ def test_even_places_keep_apart() -> None:
         (
             "[substrate]",
             '[particle]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "500 m/s"\n[substrate]',
-            "the scene also has particles",
+            "the scene has both .coating. and particles",
         ),
     ],
 )
@@ -279,7 +279,7 @@ def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
 def test_what_cooling_adds_is_told_of_cold_coatings_alone(built: Splats) -> None:
     for is_cold in (False, True):
         said = "\n".join(describe(measure(replace(built, is_cold=is_cold))))
-        assert ("of cooling" in said) == is_cold
+        assert ("from cooling" in said) == is_cold
         assert ("have not cooled" in said) != is_cold
 
 
@@ -315,7 +315,7 @@ def test_the_error_of_a_coating_is_that_of_the_mean_of_its_seeds(built: Splats) 
     assert (thick.mean, thick.error, thick.least, thick.greatest) == pytest.approx((12e-6, 2e-6 / 3**0.5, 10e-6, 14e-6))
     assert found["porosity_closed"].error == 0.0
     said = dict(lines(replace(own, seeds=found)))
-    assert said["thickness above the old surface"].endswith("; 3 seeds: 12.0 ± 1.2 µm, 10 to 14")
+    assert said["thickness above the original surface"].endswith("; 3 seeds: 12.0 ± 1.2 µm, 10 to 14")
     assert all("3 seeds" in said[label] for label in ("roughness", "porosity", "deposition efficiency"))
     assert "--seeds" in dict(lines(own))["error"]
     whole = replace(found["porosity_closed"], mean=1.0, error=1e-16, least=1.0, greatest=1.0)  # rounding is no error

@@ -121,7 +121,7 @@ def test_what_derives_from_a_record_keeps_its_fields(tmp_path: Path) -> None:
     assert other.total is total
     np.testing.assert_array_equal(x, one.x)
     assert (other.time, total.work, total.steps) == (3.0, 0.5, 7)
-    with pytest.raises(CheckpointError, match=r"x has the shape \(5, 3\), needed \(4, 3\)"):
+    with pytest.raises(CheckpointError, match=r"x has the shape \(5, 3\), but \(4, 3\) is needed"):
         put(replace(back, x=np.zeros((5, 3))), other)
 
 

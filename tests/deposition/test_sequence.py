@@ -274,7 +274,7 @@ def test_fragments_that_no_mesh_holds_count_as_lost(double: Result) -> None:
     assert made["impacts"][0]["detached_mass_kg"] == pytest.approx(0.2 * masses[0])
     whole = efficiency_range(double.impacts)
     assert efficiency_range(made["impacts"])[1] == pytest.approx(whole[1] - 0.2 * masses[0] / sum(masses))
-    assert any("impact 1: 20.0% of the particle has left as fragments" in text for text in made["run"]["warnings"])
+    assert any("impact 1: 20.0% of the particle has separated as fragments" in text for text in made["run"]["warnings"])
 
 
 def test_a_splat_that_cannot_be_meshed_is_a_failed_computation(

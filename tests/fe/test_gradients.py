@@ -219,7 +219,7 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     without = WHOLE.replace("SS304", "Ni")
     assert not row(without).on
     assert row(without).value == row(exposed).value
-    assert row(without).why == "by default with bonds by exposure only"
+    assert row(without).why == "by default only with bonds by exposure"
     assert row(HARDENED + WHOLE).on
     for off in ('effects = ["auto", "-gradient_hardening"]\n', 'effects = "none"\n'):
         assert not row(off + exposed).on

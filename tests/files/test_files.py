@@ -68,7 +68,7 @@ def test_an_empty_name_is_no_folder(option: list[str], capsys: pytest.CaptureFix
     with pytest.raises(SystemExit) as end:
         main(option)
     assert end.value.code == 2
-    assert "the name is empty" in capsys.readouterr().err
+    assert "the path is empty" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_a_comparison_names_a_bad_run(finished: Path, tmp_path: Path, capsys: py
 def test_the_time_between_checkpoints_is_a_time(value: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["run", "x.toml", f"--checkpoint={value}"])
-    assert "is not a number of seconds above zero" in capsys.readouterr().err
+    assert "is not a positive number of seconds" in capsys.readouterr().err
 
 
 def test_one_rank_says_what_is_wrong(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -333,7 +333,7 @@ with Store.create({str(tmp_path / "run")!r}, "") as store:
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert "particle.vtkhdf: File too large; steps written before are kept" in done.stderr.splitlines()[-1]
+    assert "particle.vtkhdf: File too large; steps that were written before are kept" in done.stderr.splitlines()[-1]
     assert len(Result(tmp_path / "run").times()) > 0
 
 

@@ -255,7 +255,7 @@ def test_flat_sides_of_many_triangles_do_not_pass_through_each_other(rng: np.ran
 def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
     x, t = packing.surface(2.0, 0.3)
     for points, triangles, reason in (
-        (x, t[1:], "3 edges have one triangle"),
+        (x, t[1:], "3 edges have only one triangle"),
         (np.concatenate([x, x + 3.0]), np.concatenate([t, t + len(x)]), "2 separate parts"),
         (x * [1.0, 1.0, 0.0], t, "solid|volume|pass through"),
         (np.zeros((3, 3)), np.array([[0, 1, 2]]), "no area"),
@@ -268,15 +268,15 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=reason):
             load(tmp_path / "a.stl")
     (tmp_path / "a.txt").write_text("1 2 3")
-    with pytest.raises(InputError, match="is not a file of a surface"):
+    with pytest.raises(InputError, match="is not a surface file"):
         load(tmp_path / "a.txt")
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"particle__shape": "file"}, "needs file ="),
-        ({"particle__file": "a.stl"}, "only with it"),
+        ({"particle__shape": "file"}, "needs file (such as"),
+        ({"particle__file": "a.stl"}, "and no file otherwise"),
         (
             {"particle__shape": "file", "particle__file": "not_there.stl"},
             r"particle\.file: .*not_there\.stl is missing",

@@ -121,7 +121,7 @@ def test_a_history_that_has_lost_a_line_is_damaged(tmp_path):
     assert len(Result(tmp_path / "run").history("time")) == 4
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:2] + lines[3:]))
-    with pytest.raises(StoreError, match="it has 3 rows, the run wrote 4"):
+    with pytest.raises(StoreError, match="it has 3 rows, but the run wrote 4"):
         Result(tmp_path / "run").history()
 
 
@@ -159,7 +159,7 @@ def test_file_without_a_step(folder):
 
     VtkHdfWriter(folder / "surface.vtkhdf").close()
     assert len(Result(folder).times("surface")) == 0
-    with pytest.raises(IndexError, match="0 steps"):
+    with pytest.raises(IndexError, match="0 stored steps"):
         Result(folder).fields(-1, "surface")
 
 

@@ -59,7 +59,7 @@ def test_places_in_two_balls_at_once_are_surrounded_twice(rng: np.random.Generat
 
 def test_an_open_surface_has_no_inside() -> None:
     vertices, triangles = packing.surface(20.0 * UM, 2.0 * UM)
-    with pytest.raises(SplatError, match="not closed: 3 edges have one triangle"):
+    with pytest.raises(SplatError, match="not closed: 3 edges have only one triangle"):
         RaySurface(vertices, triangles[1:])
 
 

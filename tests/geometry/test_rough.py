@@ -78,7 +78,7 @@ spacing = "2 um"
 @pytest.mark.parametrize(
     ("before", "after", "says"),
     [
-        ('"3 um"\nroughness_length = "20 um"', '"4 um"\nroughness_length = "15 um"', "the surface is steeper than meshes bear"),
+        ('"3 um"\nroughness_length = "20 um"', '"4 um"\nroughness_length = "15 um"', "steeper than a mesh can represent"),
         ('"2 um"', '"5 um"', "not resolved by elements of"),
         ('"3 um"', '"4.5 um"', 'substrate.roughness = "4.5 um": too rough for a target of 80 um'),
     ],

@@ -161,7 +161,7 @@ def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
     assert result.end["time_s"] >= 20e-9
     assert result.errors == {}
     assert main(["resume", str(folder / "out"), "--until", "15 ns"]) == 2
-    assert "give a later --until" in capsys.readouterr().err
+    assert "give a later time with --until" in capsys.readouterr().err
     assert Result(folder / "out").undecided, "a refused resumption changes nothing"
 
 
@@ -191,7 +191,7 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
         assert main(["resume", out, *quiet]) == 0
         said = capsys.readouterr()
         (line,) = (said.err if quiet else said.out).splitlines()
-        assert re.match(r"the run is at its own end \(10.* ns\), and its verdict is undecided; ", line)
+        assert re.match(r"the run has met its end criterion \(10.* ns\), and its verdict is undecided; ", line)
         assert line.endswith(f"coldspray resume {out} --until TIME")
     assert Result(out).verdict == "undecided", "without a time it stays as it is"
     assert list((tmp_path / "out").glob("checkpoint-*")), "nothing is lost"

@@ -196,7 +196,7 @@ def test_whole_run_through_the_command_line(tmp_path: Path, capsys: pytest.Captu
         "coldspray run",
         "thermal_softening",
         "meshing the target",
-        "kinetic energy left",
+        "remaining kinetic energy",
         "highest temperature",
     ):
         assert words in log

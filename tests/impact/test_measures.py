@@ -49,11 +49,11 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
 
 
 def test_what_flattening_may_be() -> None:
-    """No thickness is below zero; a splat that lines its crater is higher than the sphere was, which is a remark."""
+    """No thickness is below zero; a splat that covers the wall of its crater is higher than the sphere was, which is a remark."""
     assert measure("flattening_ratio_total").refusal(0.37) is None
     assert "above 1" in (measure("flattening_ratio_total").refusal(1.76) or "")
     assert measure("flattening_ratio_total").refusal(-0.29) is None
-    assert "lines its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
+    assert "covers the wall of its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
     assert measure("flattening_ratio").refusal(1.2) is None
     assert "embedded" in (measure("flattening_ratio").remark(1.2) or "")
     assert "rod" in (measure("flattening_ratio").remark(-0.06) or "")
@@ -64,13 +64,13 @@ def test_a_surface_that_does_not_follow_its_points_gives_no_shape() -> None:
     values = {"surface_volume_error": -0.29, "flattening_ratio": 0.5, "height_m": 1e-6, "crater_depth_m": 2e-6}
     kept, reasons = within_range(values)
     assert kept == {**dict.fromkeys(values), "crater_depth_m": 2e-6}
-    assert reasons["height_m"] == "-29 is below -20 %: the surface no longer follows the points: take more points"
+    assert reasons["height_m"] == "-29 is below -20 %: the surface does not follow the points: use more points"
     assert within_range(values | {"surface_volume_error": -0.1})[1] == {}
 
 
 def test_a_strain_beyond_the_scheme_is_refused() -> None:
     assert measure("eps_p_max").refusal(5.2) is None
-    assert "cannot follow" in (measure("eps_p_max").refusal(85.0) or "")
+    assert "too large for the SPH scheme" in (measure("eps_p_max").refusal(85.0) or "")
     assert measure("T_max_K").refusal(float("nan")) == "not a number"
 
 

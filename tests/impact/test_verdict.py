@@ -71,7 +71,7 @@ def test_a_margin_within_the_scatter_is_named() -> None:
     for share, is_close in ((0.45, True), (0.55, False)):
         found = judge(COHESIVE, IMPACT, MASS, math.sqrt(2.0 * share * spent / MASS), bonds)
         assert (found.bonds, found.is_close) == ("rebounds", is_close)
-        assert ("another placement" in found.rests_on) == is_close
+        assert ("other positions of points" in found.rests_on) == is_close
     assert not judge(COHESIVE, IMPACT, MASS, 20.0, None).is_close
 
 
@@ -124,7 +124,7 @@ def test_the_default_verdict_is_that_of_the_pair_or_says_that_it_is_not() -> Non
     for base in ("SS304", "Al", "W"):
         verdict, words = said[base]
         assert verdict == "undecided"
-        assert f"({base}): the two metals disagree" in words
+        assert f"({base}): the results for the two metals disagree" in words
 
 
 def test_bonds_and_formula_that_disagree_are_both_said() -> None:
@@ -139,7 +139,7 @@ def test_bonds_and_formula_that_disagree_are_both_said() -> None:
     split = found("Al", 614.0, torn, 20.0)
     assert (split.verdict, split.bonds, split.rebounded) == ("undecided", "rebounds", True)
     assert split.rests_on.startswith(
-        "it rebounds by computed bonds (all bonds are torn, it moves off at 20 m/s; the margin is so small"
+        "it rebounds by computed bonds (all bonds are torn, it leaves the target at 20 m/s; the margin is so small"
     )
     assert "critical 473 m/s (OFHC_Cu) and" in split.rests_on
     own = found("Cu", 614.0, torn, 20.0)
@@ -211,7 +211,7 @@ def test_many_verdicts_are_counted_by_what_decides_them_with_the_closest() -> No
     assert in_words({"impacts": records}) == [
         "of 11 particles 9 stick, 1 rebounds, 1 is undecided;"
         " particles 2 to 4, 7 stick at their impact and have come off later; particle 11 has come off after the impact",
-        "verdicts: 9 by computed bonds, 1 by formula, 1 without an end of the contact",
+        "verdicts: 9 by computed bonds, 1 by formula, 1 still in contact at the end",
         "closest: particle 10 rebounds: slow; margin -3 m/s",
     ]
 
@@ -235,5 +235,5 @@ def test_the_verdict_stands_first_and_what_does_not_rebound_has_no_rebound_veloc
     assert (last["verdict"], last["verdict_by"], last["undecided"]) == ("undecided", None, None)
     for key in ("rebound_velocity_m_s", "restitution", "rebounded"):
         assert last[key] is None
-        assert last["refused"][key] == last["verdict_rests_on"] == "the contact has not come to an end"
+        assert last["refused"][key] == last["verdict_rests_on"] == "the particle is still in contact"
     assert re.search(r"rebound velocity +- ", screen(sinking)), screen(sinking)

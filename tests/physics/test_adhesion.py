@@ -70,12 +70,12 @@ def test_the_law_is_what_bonds_take() -> None:
     ("fields", "says"),
     [
         ({"kind": "glued"}, "kind: 'glued' is not one of none, tied, cohesive"),
-        ({"kind": "cohesive", "energy": 1.0}, "strength is needed"),
-        ({"kind": "cohesive", "strength": 1e8}, "energy is needed"),
+        ({"kind": "cohesive", "energy": 1.0}, "strength is missing"),
+        ({"kind": "cohesive", "strength": 1e8}, "energy is missing"),
         ({"kind": "tied", "strength": 1e8}, "strength has no effect"),
         ({"kind": "cohesive", "strength": 0.0, "energy": 1.0}, "strength must be positive"),
         ({"kind": "cohesive", "strength": 1e8, "energy": -1.0}, "or 0 for a brittle bond"),
-        ({"kind": "tied", "criterion": "pressure"}, "threshold is needed"),
+        ({"kind": "tied", "criterion": "pressure"}, "threshold is missing"),
         ({"kind": "tied", "criterion": "luck"}, "criterion: 'luck' is not one of"),
         ({"kind": "tied", "threshold": 1.0}, "threshold has no effect"),
         ({"kind": "tied", "criterion": "velocity", "threshold": float("nan")}, "positive number"),
@@ -99,7 +99,7 @@ def test_each_pair_of_metals_has_its_law() -> None:
     assert law.between("Al", "Ni") is law
     assert Adhesion(kind="tied").law_on("Cu", ["Ni"]) == {}
     for pairs, kind, says in (
-        ((PairBond(("Ni", "Cu")), PairBond(("Cu", "Ni"))), "cohesive", "named twice"),
+        ((PairBond(("Ni", "Cu")), PairBond(("Cu", "Ni"))), "cohesive", "occur twice"),
         ((PairBond(("Ni", "Cu"), strength=-1.0),), "cohesive", "pair Ni - Cu: strength must be positive"),
         ((PairBond(("Ni", "Cu")),), "tied", "pair has no effect"),
     ):

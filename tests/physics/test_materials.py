@@ -175,7 +175,7 @@ def test_hardness_is_an_initial_plastic_strain(hardness):
     assert nickel.flow_stress(eps + 0.08, 0.0, 293.0) == pytest.approx(hardness * 9.80665e6 / 3, rel=1e-9)
     assert nickel.flow_stress(nickel.initial_strain(None, 400e6), 0.0, 293.0) == pytest.approx(400e6, rel=1e-9)
     assert nickel.initial_strain(None, None) == 0.0
-    with pytest.raises(ValueError, match=r"is outside 136.* HV, from the metal without plastic strain"):
+    with pytest.raises(ValueError, match=r"is outside 136.* HV: this is the range from zero plastic strain"):
         nickel.initial_strain(100 * 9.80665e6, None)
 
 
@@ -240,7 +240,7 @@ def test_all_problems_of_a_material_at_once():
         (
             "X",
             {"base": "Cu", "strength": "zerilli_armstrong", "C_0": "0 MPa"},
-            "give no yield stress above zero at 300 K",
+            "give no positive yield stress at 300 K",
         ),
         (
             "X",

@@ -148,8 +148,8 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     seen.note(calm, calm)  # what was stays
     (line,) = seen.warnings(2, {"particle": nickel, "target": steel}, True)
     assert line.startswith("impact 2: beyond the fitted range: particle (Ni, ")
-    assert "strain rate 3.0e+07 1/s (99 %; fitted to 1e+04)" in line
-    assert "0.95 of the melting point (to 0.9)" in line
+    assert "strain rate 3.0e+07 1/s (99th percentile; fitted up to 1e+04)" in line
+    assert "0.95 of the melting point (valid up to 0.9)" in line
     assert "target" not in line
     splat = Extremes()  # of aluminium on steel: its melting point counts
     splat.note(calm, holding(**at_rest | {"T": 850.0 * one}))

@@ -24,7 +24,7 @@ def job_of(folder: Path, text: str = TEXT) -> Job:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('"15-45 um"', '"45-15 um"', 'powder.sizes = "45-15 um" needs the smaller sieve first'),
+        ('"15-45 um"', '"45-15 um"', 'powder.sizes = "45-15 um" needs the smaller sieve size first'),
         ('"15-45 um"', '["30 um", "20 um", "40 um"]', "needs D10, D50, D90 in ascending order"),
         ('"15-45 um"', '"coarse"', 'powder.sizes = "coarse" needs "15-45 um" (sieves)'),
         ('"15-45 um"', '"none.csv"', 'powder.sizes = "none.csv": the file is missing'),
@@ -82,7 +82,7 @@ def test_shares_below_each_size_are_told_from_shares_of_classes(tmp_path: Path) 
 
 def test_numbers_of_particles_are_refused(tmp_path: Path) -> None:
     (tmp_path / "sizer.csv").write_text("size (um),Number (%)\n10,20\n20,50\n30,30\n40,0\n")
-    with pytest.raises(SceneError, match="export volume fractions"):
+    with pytest.raises(SceneError, match="give a file with volume fractions"):
         job_of(tmp_path, TEXT.replace('"15-45 um"', '"sizer.csv"'))
 
 
@@ -102,7 +102,7 @@ def test_each_choice_takes_longer_and_more_time_buys_more(tmp_path: Path) -> Non
         places.append(CHOICES.index(choice))
     assert places == sorted(places)
     assert places[-1] == len(CHOICES) - 1
-    with pytest.raises(SceneError, match="too short, the least takes"):
+    with pytest.raises(SceneError, match="too short, the smallest choice takes"):
         choose(within(job, 0.9 * times[0]), takes, CORES)
 
 

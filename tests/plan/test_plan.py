@@ -298,7 +298,7 @@ def test_what_the_user_says_goes(request_, active):
         said = set(NAMES) - (
             {"gradient_hardening"} if "all" in request_ and "+gradient_hardening" not in request_ else set()
         )
-        assert all(row.why == "as the scene says" for row in made.decisions if row.name in said)
+        assert all(row.why == "set by the scene" for row in made.decisions if row.name in said)
 
 
 @pytest.mark.parametrize("request_", ["some", ["+-friction"], ["friction", "auto"], ["frictoin"], ["+x", "-x"]])
@@ -382,7 +382,7 @@ def test_the_spray_gives_the_time_between_impacts():
     text = " ".join(describe(made).split())
     passing = 0.25 * math.pi * 5e-3 / 0.1
     assert f"time between impacts {expected * 1e3:.3g} ms (20 g/min, 50% of it in a spot of 5 mm at 100 mm/s:" in text
-    assert f"{passing / expected:.2g} impacts a pass" in text
+    assert f"{passing / expected:.2g} impacts in a pass" in text
     assert made.effects.cooling
     stacked = plan(several({}, {}))
     assert stacked.impact.dwell == pytest.approx(expected * 0.5 * 20 / 30 * (6 / 5) ** 2 * (20 / 12.5) ** 2)
@@ -411,7 +411,7 @@ def test_several_particles_end_cold_and_one_at_rest():
     assert (plan(scene_with()).ambient, plan(several({}, {})).ambient) == (None, 300.0)
     cold = plan(scene_with(end={"at": "cold", "ambient": "20 degC"}))
     assert (cold.ambient, cold.impact.end_at) == (293.15, "rest")
-    assert "at the end all cools to 293.1 K" in describe(cold)
+    assert "at the end all bodies cool to 293.1 K" in describe(cold)
     assert plan(several({}, {}, end={"at": "rest"})).ambient is None
     assert plan(several({}, {}, end={"time": "10 ns"})).ambient is None
 

@@ -88,10 +88,10 @@ def test_a_blend_that_is_written_out_is_the_same_scene(tmp_path: Path) -> None:
     ("before", "after", "says"),
     [
         ("share = 0.3", "share = 0.4", "coating needs shares of its powders that add up to 1: these add up to 1.1"),
-        ('"15-25 um"', '"25-15 um"', 'coating.powder[1].sizes = "25-15 um" needs the smaller sieve first'),
+        ('"15-25 um"', '"25-15 um"', 'coating.powder[1].sizes = "25-15 um" needs the smaller sieve size first'),
         ('"15-25 um"', '"no.csv"', "coating.powder[1].sizes: the file is missing"),
         ('"Al1100"', '"Unobtainium"', 'coating.powder[2].material = "Unobtainium": unknown material'),
-        ('sizes = "15-25 um"', "", "coating.powder[1] needs diameter"),
+        ('sizes = "15-25 um"', "", "coating.powder[1] needs either diameter"),
         ('sizes = "15-25 um"', 'sizes = "15-25 um"\ncolour = "red"', "coating.powder[1].colour: unknown key"),
         ('velocity = "600 m/s"', "", "coating.powder[1].velocity: missing"),
     ],
@@ -108,6 +108,6 @@ def test_a_powder_too_rare_for_the_number_of_particles_is_refused() -> None:
     text = BLEND.replace("share = 0.7", "share = 0.999").replace("share = 0.3", "share = 0.001")
     with pytest.raises(
         SceneError,
-        match=r"coating.number = 60: powder\[2\] has no particle, because its share is small: give \d+ or more",
+        match=r"coating.number = 60: powder\[2\] has no particle, because its share is small: give at least \d+ particles",
     ):
         Scene.from_text(text)

@@ -43,7 +43,7 @@ def test_the_command_prints_and_writes_the_properties(
     assert main(["properties", str(cold.directory), str(other), "--out", str(folder), *BLOCK]) == 0
     said = capsys.readouterr().out
     assert "Young's modulus, in plane" in said
-    assert "take the error from other seeds" in said
+    assert "give runs with other seeds" in said
     written = json.loads((folder / "properties.json").read_text())
     of_run = written["runs"][str(cold.directory)]
     assert written["seeds"]["E_across"]["error"] == 0.0
@@ -58,12 +58,12 @@ def test_the_command_prints_and_writes_the_properties(
 def test_what_has_no_cold_coating_or_no_room_is_refused(
     cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(StoreError, match=r"holds .* splats, of 2 that it needs: take a larger one"):
+    with pytest.raises(StoreError, match=r"holds .* splats, but 2 are needed: choose a larger"):
         cold.properties(side=4e-6, heights=(3e-6, 6e-6))
     for heights in ((-30e-6, 6e-6), (300e-6, 400e-6)):
         with pytest.raises(StoreError, match="the lower one above the substrate"):
             cold.properties(heights=heights)
-    with pytest.raises(StoreError, match="less than an element of the coating"):
+    with pytest.raises(StoreError, match="smaller than an element of the coating"):
         cold.properties(side=1e-12)
     hot = tmp_path / "hot"
     shutil.copytree(cold.directory, hot)

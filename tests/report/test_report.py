@@ -158,7 +158,7 @@ def plan_of(scene: str) -> str:
 def test_picture_of_an_unfinished_run_says_what_is_missing(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "run")
     (copy / "surface.vtkhdf").unlink()
-    with pytest.raises(StoreError, match="0 steps of particle, surface and target"):
+    with pytest.raises(StoreError, match="no stored step of particle, surface and target"):
         section_picture(Result(copy))
     with pytest.raises(StoreError, match="cannot write"):
         section_picture(Result(folder), tmp_path / "nowhere" / "a.png")
@@ -192,7 +192,7 @@ def test_summary_table(tmp_path, monkeypatch):
     rows = {row[0]: row[1:] for row in printed(Result(tmp_path)) if len(row) > 1}
     assert rows["crater depth"] == ["5.5", "5.02", "µm"]
     assert rows["time"] == ["41", "60", "ns"]
-    assert rows["flattening, above surface"] == ["", "0.5561", ""]
+    assert rows["flattening above the surface"] == ["", "0.5561", ""]
     assert rows["highest von Mises stress"] == ["", "778", "MPa"]
     assert rows["energy drift"] == ["", "0.31", "%"]
     assert rows["rebound velocity"] == ["", "-", "m/s"]
@@ -228,9 +228,9 @@ def test_summary_table_of_several_impacts(tmp_path):
     heads = [str(column.header) for column in summary_table(result).columns]
     assert heads == ["", "impact\xa01\n30\xa0µm\xa0Ni", "impact\xa02\n25\xa0µm\xa0Ti", ""]
     rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1 and row[0] != "wall time"}
-    assert rows["flattening, above surface"] == ["0.62", "0.31", ""]
-    assert rows["surface met at"] == ["0", "9.1", "µm"]
-    assert rows["idle, by process"] == ["", "25, 3.1", "%"]
+    assert rows["flattening above the surface"] == ["0.62", "0.31", ""]
+    assert rows["height of the surface at the first contact"] == ["0", "9.1", "µm"]
+    assert rows["waiting time of each process"] == ["", "25, 3.1", "%"]
     assert rows["most memory"] == ["", "412.3", "MB"]
     assert "joins" not in rows
     assert [row[1:] for row in printed(result) if row[:1] == ["wall time"]] == [["30", "20", "s"], ["", "55.5", "s"]]
@@ -249,7 +249,7 @@ def test_errors_stand_beside_their_values(tmp_path):
     with Store.create(tmp_path, "") as store:
         store.finish(summary_of(impact))
     rows = {row[0]: row[1:] for row in printed(Result(tmp_path)) if len(row) > 1}
-    assert rows["flattening, above surface"] == ["0.556 ± 0.012", ""]
+    assert rows["flattening above the surface"] == ["0.556 ± 0.012", ""]
     assert rows["crater depth"] == ["5.02 ± 0.13", "µm"]
     assert rows["highest temperature"] == ["612.3", "K"]
     assert not {"errors", "impacts"} & set(rows)
@@ -275,7 +275,7 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     assert rows["greatest plastic strain"] == ["-", "-", ""]
     assert remarks(result.summary)[:3] == [
         "impact 1: greatest plastic strain at the end is undefined: 85 is above 20",
-        "impact 1: at the end, flattening, above surface is 1.2: the top lies below the surface: the particle is embedded",
+        "impact 1: at the end, flattening above the surface is 1.2: the top lies below the surface: the particle is embedded",
         "impact 2: all measures at the end, rebound velocity / impact velocity are undefined: not at rest",
     ]
     assert alerts(result.summary) == [doubt]

@@ -112,7 +112,7 @@ def test_films_that_cannot_be_made(folder, tmp_path, capsys):
         ([str(folder), "--out", str(tmp_path / "no" / "film.mp4")], "there is no folder"),
         ([str(folder), "--out", str(tmp_path / "film.gif"), "--field", "stress"], "has T, eps_p, von_mises"),
         ([str(folder), "--out", str(tmp_path / "film.gif"), "--fps", "0"], "give 0.1 to 100"),
-        ([str(empty)], "nothing to animate yet"),
+        ([str(empty)], "try again later"),
     ):
         assert cli.main(["animate", *arguments]) == 2
         error = capsys.readouterr().err
@@ -132,7 +132,7 @@ def printed(results) -> dict[str, list[str]]:
 
 def test_two_runs_in_a_table(folder, other):
     rows = printed([Result(folder), Result(other)])
-    assert rows["flattening, above surface"] == ["0.5561", "0.6117", "+10.0%", ""]
+    assert rows["flattening above the surface"] == ["0.5561", "0.6117", "+10.0%", ""]
     assert rows["crater depth"] == ["5.02", "5.02", "+0.0%", "µm"]
     assert rows["highest temperature"] == ["612", "-", "", "K"]
     assert rows["energy drift"] == ["-0.1", "-0.1", "", "%"]
@@ -140,7 +140,7 @@ def test_two_runs_in_a_table(folder, other):
     assert rows["particle.angle"] == ["", "30 deg", "", ""]
     assert "substrate.material" not in rows
     three = printed([Result(folder), Result(other), Result(folder)])
-    assert three["flattening, above surface"] == ["0.5561", "0.6117", "0.5561", ""]
+    assert three["flattening above the surface"] == ["0.5561", "0.6117", "0.5561", ""]
 
 
 def test_two_runs_with_errors_in_a_table(folder, other, tmp_path):
@@ -154,7 +154,7 @@ def test_two_runs_with_errors_in_a_table(folder, other, tmp_path):
         (copy / "summary.json").write_text(json.dumps(summary))
         results.append(Result(copy))
     rows = printed(results)
-    assert rows["flattening, above surface"] == ["0.556 ± 0.030", "0.612 ± 0.030", "+10.0%, within the errors", ""]
+    assert rows["flattening above the surface"] == ["0.556 ± 0.030", "0.612 ± 0.030", "+10.0%, within the errors", ""]
     assert rows["crater depth"] == ["5.02 ± 0.10", "5.02", "+0.0%", "µm"]
 
 
@@ -230,7 +230,7 @@ def test_an_unfinished_run_is_named_in_a_comparison(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "stopped")
     (copy / "summary.json").unlink()
     results = [Result(folder), Result(copy)]
-    assert printed(results)["flattening, above surface"] == ["0.5561", "", "", ""]
+    assert printed(results)["flattening above the surface"] == ["0.5561", "", "", ""]
     assert "Not finished: stopped" in compare(results, tmp_path / "x.html").read_text(encoding="utf-8")
 
 

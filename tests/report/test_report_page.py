@@ -70,7 +70,7 @@ def rows(page: str) -> dict[str, list[str]]:
 
 def test_the_page_says_what_was_computed(page):
     read = rows(page)
-    assert read["flattening, above surface"] == ["0.551", "0.556 ± 0.012", ""]
+    assert read["flattening above the surface"] == ["0.551", "0.556 ± 0.012", ""]
     assert read["crater depth"] == ["5.3", "5.02 ± 0.13", "µm"]
     assert "spacing of the points" in page
     assert read["energy drift"] == ["-0.1", "%"]
@@ -110,7 +110,7 @@ def test_a_run_of_several_impacts(finished, tmp_path):
     table = table[: table.index("</section>")]
     assert "impact 1" in table
     assert "impact 2" in table
-    assert rows(table)["flattening, above surface"] == ["0.5", "0.4"]
+    assert rows(table)["flattening above the surface"] == ["0.5", "0.4"]
     assert rows(table)["mean velocity upwards, m/s"] == ["", "3"]
 
 
@@ -266,7 +266,7 @@ def test_where_the_page_goes(finished, tmp_path, capsys):
     assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
     assert str(copy / "report.html") in capsys.readouterr().out
     for arguments, says in (
-        ([str(tmp_path / "absent")], "is not a folder of results"),
+        ([str(tmp_path / "absent")], "is not a results folder"),
         ([str(tmp_path)], "holds no results"),
         ([str(copy), "--out", str(tmp_path / "no" / "x.html")], "cannot write"),
         ([str(copy), "--out", str(tmp_path)], "cannot write"),
@@ -428,7 +428,7 @@ def test_a_browser_shows_a_real_run(tmp_path, shared_run):
     result = Result(shutil.copytree(shared_run(NI).directory, tmp_path / "run"))
     page = write_report(result)
     read_ = rows(page.read_text(encoding="utf-8"))
-    assert float(read_["flattening, above surface"][-2]) == pytest.approx(result.flattening_ratio, abs=5e-4)
+    assert float(read_["flattening above the surface"][-2]) == pytest.approx(result.flattening_ratio, abs=5e-4)
     with shown(page, tmp_path / "profile") as browser:
         assert (browser.requests, browser.complaints) == ([page.as_uri()], [])
         assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 10

@@ -66,8 +66,8 @@ def test_all_problems_of_settings_are_those_of_a_file(capsys: pytest.CaptureFixt
         ("particle[4].velocity=1 m/s", 'name one of them, such as "particle[1]"'),
         ("substrate[2].height=1 um", "no table substrate[2]"),
         ("preset.x=1", "preset is no table"),
-        ("a..b=1", "is not a key of a scene"),
-        ("particle[1]=1", "is not a key of a scene"),
+        ("a..b=1", "not a key of a scene"),
+        ("particle[1]=1", "not a key of a scene"),
         ("effects=" + 2000 * "[", "effects = "),
     ],
 )

@@ -38,7 +38,7 @@ def test_reads_exactly(text, dimension, value):
         ("25 m/s", "is a velocity: needs a length"),
         ("25 umm", 'did you mean "um"'),
         ("1 minute", "unknown unit"),
-        ("um", "is not a number and a unit"),
+        ("um", "is not a number with a unit"),
         ("nan m", "is not a number"),
         ("inf m", "is not a number"),
         ("1e999 m", "unknown unit"),

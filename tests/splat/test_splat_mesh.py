@@ -71,8 +71,8 @@ def test_points_in_micrometres_become_a_gmsh_file(ball, tmp_path: Path, capsys: 
     source.write_text("\n".join(rows) + "\n")
     assert main(["mesh", str(source), "--unit", "um", "--out", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "spacing estimated" in said
-    assert "field 'colour' left out" in said
+    assert "the spacing is estimated" in said
+    assert "field 'colour' is left out" in said
     mesh = meshio.read(out)
     assert np.ptp(mesh.points, axis=0) == pytest.approx(np.full(3, D), rel=0.1)
     assert mesh.cell_data["T"][0] == pytest.approx(np.full(len(mesh.cells_dict["tetra"]), 300.0))
@@ -153,7 +153,7 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
         ([str(tmp_path / "folder")], "holds no results"),
         ([str(good), "--out", str(tmp_path / "a.jpg")], "use .vtu or .vtk"),
         ([str(good), "--size", "5"], "has no unit"),
-        ([str(good), "--size", "-5 um"], "more than zero"),
+        ([str(good), "--size", "-5 um"], "must be above zero"),
         ([str(good), "--unit", "parsec"], "unknown unit"),
         ([str(good), "--spacing", "1 nm"], "check the spacing"),
         ([str(good), "--size", "1 nm"], "give a larger element size"),
@@ -190,4 +190,4 @@ def test_doubles_and_lonely_points_of_a_file_are_left_out(tmp_path: Path) -> Non
     cloud, notes = mesh_command.of_file(tmp_path / "cloud.npz", dx)
     np.testing.assert_array_equal(cloud.x, x)
     np.testing.assert_array_equal(cloud.T, np.arange(len(x)))
-    assert notes[-2:] == ["7 points on top of others left out", "2 points far from all others left out"]
+    assert notes[-2:] == ["7 duplicate points left out", "2 points far from all others left out"]

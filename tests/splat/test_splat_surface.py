@@ -99,7 +99,7 @@ def test_remesh_splits_a_coarse_surface_and_keeps_a_hole() -> None:
 def test_open_and_double_surfaces_are_told() -> None:
     _, t = sphere(0.5)
     assert open_or_double(t) == ""
-    assert "3 edges have one triangle" in open_or_double(t[1:])
+    assert "3 edges have only one triangle" in open_or_double(t[1:])
     assert "more than two" in open_or_double(np.concatenate([t, t[:1]]))
 
 

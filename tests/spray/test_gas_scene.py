@@ -91,7 +91,7 @@ def test_gas_gives_a_scene_velocity_and_temperature():
     said = describe(plan(found))
     assert f"gives {found.particle.velocity:.4g} m/s" in said
     assert "used here" in said
-    assert "assumed of the nozzle" in said
+    assert "assumed values of the nozzle" in said
 
 
 def test_what_a_scene_says_of_its_particle_goes_before_the_gas():
@@ -102,7 +102,7 @@ def test_what_a_scene_says_of_its_particle_goes_before_the_gas():
 
 
 def test_check_says_that_a_flake_is_not_a_sphere():
-    assert "not of this flake" in describe(plan(scene({"shape": "flake"})))
+    assert "not of the shape flake" in describe(plan(scene({"shape": "flake"})))
     assert "equal volume, not" not in describe(plan(scene()))
 
 
@@ -191,7 +191,7 @@ def test_the_command_prints_writes_and_draws(capsys, tmp_path):
     assert cli.main(COMMAND + more) == 0
     said = capsys.readouterr().out
     flown = fly_together(flow(p0=8e5, T0=627.15, bow_shock=True), material("Ni"), [25e-6])[0]
-    for part in ("25 um", f"{flown.velocity:.0f} m/s", "over-expanded", "assumed of the nozzle"):
+    for part in ("25 um", f"{flown.velocity:.0f} m/s", "over-expanded", "assumed values of the nozzle"):
         assert part in said
     head, columns, first, second = table.read_text().splitlines()
     assert head.startswith("# written by coldspray gas; remake: coldspray gas")

@@ -36,5 +36,5 @@ def test_classes_give_back_the_distribution_that_they_were_cut_from() -> None:
 
 
 def test_one_class_is_no_distribution() -> None:
-    with pytest.raises(ValueError, match="fewer than three classes"):
+    with pytest.raises(ValueError, match="fewer than three size classes"):
         Sizes.of_classes([10e-6, 20e-6, 30e-6], [0.0, 100.0])

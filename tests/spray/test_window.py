@@ -68,8 +68,9 @@ def test_a_lower_critical_velocity_deposits_less_where_particles_erode_and_the_l
 
 
 @pytest.mark.parametrize(("substrate", "says"), [
-    (None, "the substrate is not considered (none is named)"), ("V", "the substrate is not considered (V has no sigma_TS)"),
-    ("Cu", "m/s (OFHC_Cu)"), ("Al7075", "m/s (Al7075): the two metals disagree"),
+    (None, "the metal of the substrate is not considered (the scene names none)"),
+    ("V", "the metal of the substrate is not considered (V has no tensile strength sigma_TS)"),
+    ("Cu", "m/s (OFHC_Cu)"), ("Al7075", "m/s (Al7075): the results for the two metals disagree"),
 ])  # fmt: skip
 def test_the_verdict_is_that_of_the_pair_or_says_that_it_is_not(
     substrate: str | None, says: str, capsys: pytest.CaptureFixture[str]
@@ -94,7 +95,7 @@ def test_the_formula_of_a_pair_decides_where_both_metals_agree() -> None:
     assert pair_formula(copper, copper, 300.0, 25e-6).verdict(614.0) == STICKS
     alone = pair_formula(copper, vanadium, 300.0, 25e-6)
     assert alone.verdict(614.0) == STICKS
-    assert "the substrate is not considered (V has no sigma_TS)" in alone.words(614.0)
+    assert "the metal of the substrate is not considered (V has no tensile strength sigma_TS)" in alone.words(614.0)
     assert pair_formula(vanadium, copper, 300.0, 25e-6).verdict(614.0) == UNDECIDED
 
 

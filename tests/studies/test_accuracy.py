@@ -45,7 +45,7 @@ def test_within_takes_the_finest_there_is_time_for():
     assert f"{made.derived.points} points" in said
     assert made.derived.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.derived.spacing)
     assert command.chosen(scene, "5 min", None)[0].derived.points > made.derived.points
-    with pytest.raises(refinement.AccuracyError, match=r"--within 0\.5s is too short: at 300 points"):
+    with pytest.raises(refinement.AccuracyError, match=r"--within 0\.5s is too short: with 300 points"):
         command.chosen(scene, "0.5s", None)
 
 
@@ -55,14 +55,14 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     made, said = command.chosen(scene_with(), None, f"{asked:.6f}%")
     assert made.derived.points == pytest.approx(3000, rel=0.05)
     assert "shape within" in said
-    with pytest.raises(refinement.AccuracyError, match="more than --within 3s"):
+    with pytest.raises(refinement.AccuracyError, match="which exceeds --within 3s"):
         command.chosen(scene_with(), "3s", f"{asked:.6f}%")
     unlike, _ = command.chosen(several({}, {"diameter": "15 um"}), None, "90%")
     assert unlike.derived.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
     pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
     assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * refinement.points_for(asked / 100)
     with pytest.raises(
-        refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be reached: the error of the shape at 64000 points"
+        refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be reached: the error of the shape with 64000 points"
     ):
         command.chosen(scene_with(), None, "0.01%")
 
@@ -71,9 +71,9 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     ("options", "complaint"),
     [
         (["--within", "soon"], "--within soon: "),
-        (["--within", "0s"], "must be more than zero"),
-        (["--accuracy", "2"], "--accuracy '2' is not an uncertainty"),
-        (["--accuracy", "0%"], "is not an uncertainty"),
+        (["--within", "0s"], "must be above zero"),
+        (["--accuracy", "2"], "--accuracy '2' is not valid: give a percentage"),
+        (["--accuracy", "0%"], "is not valid: give a percentage"),
         (["--accuracy", "0.001%"], "cannot be reached"),
     ],
 )
@@ -122,7 +122,7 @@ def test_check_foretells_time_and_accuracy(tmp_path, capsys):
     assert cli.main(["check", str(path), "-v"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"wall time  about \d+ s on one core here", text)
-    assert re.search(r"error      a forecast: \+- .*flattening [\d.]+ %", text)
+    assert re.search(r"error      expected: \+- .*flattening [\d.]+ %", text)
     first = text.splitlines().index(next(line for line in text.splitlines() if "wall time" in line))
     assert max(map(len, text.splitlines()[first : first + 5])) <= 120
 

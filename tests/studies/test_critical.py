@@ -149,7 +149,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     said = capsys.readouterr()
     assert "critical velocity" in said.out
     assert "Schmidt's formula: critical 665 m/s (Ni) and 716 m/s (SS304)" in said.out
-    assert "not in the band: the error of the resolution" in said.out
+    assert "the band does not include the error of the resolution" in said.out
     rows = read_rows(out / "critical.csv")
     assert {row["verdict_by_bonds"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
     assert all((out / "runs" / f"{row['velocity_m_s']}ms" / "summary.json").is_file() for row in rows)
@@ -276,7 +276,7 @@ def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (scene(("Ni", 25, 500), **TINY), "no bond is computed"),
+        (scene(("Ni", 25, 500), **TINY), "bonds are not computed"),
         (scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY, tied=False, more=HELD.format(50)), "one impact"),
     ],
 )

@@ -134,7 +134,7 @@ def test_six_points_are_points_and_lines_and_no_surface(tmp_path, capsys) -> Non
     assert "3 values of velocity and 2 values of diameter; an interpolation needs 4 along each axis" in said
     assert "rms" not in said
     assert "inside" not in said
-    assert re.search(r"next point worth a run: velocity 670.8 m/s, diameter (10|25) .m; --refine 1 runs it", said)
+    assert re.search(r"best next point: velocity 670.8 m/s, diameter (10|25) .m; compute it with --refine 1", said)
     assert (tmp_path / "map_Ni_flattening_ratio.png").stat().st_size > 10_000
 
 
@@ -170,7 +170,7 @@ def test_four_points_on_a_diagonal_give_no_surface(tmp_path, capsys, figures) ->
     said = drawn(tmp_path, capsys)
     assert "4 points; an interpolation over 2 axes needs 12 points spread over them" in said
     assert "rms" not in said
-    assert "next point worth a run: velocity " in said
+    assert "best next point: velocity " in said
     assert labels(figures["map_Ni_flattening_ratio"]) == {"no verdict"}
     with pytest.raises(StoreError, match="needs 12 points"):
         interpolate(table(tmp_path), "flattening_ratio")
@@ -232,9 +232,7 @@ def test_a_jump_at_the_critical_velocity_is_no_noise(tmp_path, capsys, figures) 
     said = capsys.readouterr().out
     assert "verdicts: sticks 3, rebounds 5" in said
     assert "the verdict changes between 560 m/s and 640 m/s, where a measure can jump" in said
-    bracket = (
-        r"next point worth a run: velocity 598\.7 m/s \(rebounds at velocity 560 m/s, sticks at velocity 640 m/s\)"
-    )
+    bracket = r"best next point: velocity 598\.7 m/s \(rebounds at velocity 560 m/s, sticks at velocity 640 m/s\)"
     assert len(re.findall(bracket, said)) == 2
     at = figures["map_Ni_restitution"].axes[0]
     assert {"sticks", "rebounds"} < labels(figures["map_Ni_restitution"])
@@ -292,10 +290,10 @@ def test_a_formula_needs_no_run(tmp_path, capsys, monkeypatch) -> None:
     assert cli.main(["map", str(tmp_path), "--show", "velocity_ratio", "--refine", "1"]) == 0
     said = capsys.readouterr().out
     assert (
-        "no point to run: normal velocity / critical velocity of the particle's metal is a formula of the scene and needs no run"
+        "there is no new point to compute: normal velocity / critical velocity of the particle's metal is a formula"
         in said
     )
-    assert "next point worth a run" not in said
+    assert "best next point" not in said
 
 
 def test_a_bracket_is_halved_until_it_is_narrow(tmp_path) -> None:
@@ -313,7 +311,7 @@ def test_the_runs_of_a_study_are_in_a_folder_of_their_own(tmp_path, capsys) -> N
     made(tmp_path / "runs", Sweep.from_dict(points()))
     (tmp_path / "scene.toml").write_text(next((tmp_path / "runs").glob("*.toml")).read_text())
     assert cli.main(["map", str(tmp_path)]) == 2
-    assert f"its runs are in {tmp_path / 'runs'}" in capsys.readouterr().err
+    assert f"but {tmp_path / 'runs'} has: give that folder" in capsys.readouterr().err
 
 
 def test_an_axis_is_named_once(tmp_path, capsys) -> None:
@@ -328,7 +326,7 @@ def test_one_axis_gives_a_curve_with_its_band(tmp_path, capsys) -> None:
     velocities = [f"{v} m/s" for v in (150, 250, 400, 650, 1100)]
     said = drawn(made(tmp_path, Sweep.from_dict(points(diameter=["25 um"], velocity=velocities))), capsys)
     assert "rms error leaving out one point" in said
-    assert re.search(r"next point worth a run: velocity \S+ m/s \(band \+- \S+\)", said)
+    assert re.search(r"best next point: velocity \S+ m/s \(band \+- \S+\)", said)
     fit = interpolate(table(tmp_path), "flattening_ratio")
     assert fit.axes == ("velocity_m_s",)
     mean, std = fit(520.0)
@@ -342,7 +340,7 @@ def test_errors_that_runs_have_measured_are_bars_and_a_remark(tmp_path, capsys, 
         summary = json.loads(path.read_text())
         summary["impacts"][-1]["errors"] = {"flattening_ratio": {"half_width": 0.02}}
         path.write_text(json.dumps(summary))
-    assert "error of the resolution: 0.02 in the median, 0.02 at most" in drawn(folder, capsys)
+    assert "error of the resolution: 0.02 median, 0.02 largest" in drawn(folder, capsys)
     (bars,) = figures["map_Ni_flattening_ratio"].axes[0].containers
     (segments,) = (lines.get_segments() for lines in bars[2])
     assert np.ptp(segments, axis=1)[:, 1] == pytest.approx(0.04)
@@ -356,7 +354,7 @@ def test_a_length_below_the_distance_of_points_is_no_answer(tmp_path) -> None:
         row["flattening_ratio"] = 0.5 + 0.1 * (-1) ** number
     fit = interpolate(rows, "flattening_ratio")
     assert fit.warnings == (
-        "flattening, above surface changes along velocity within the distance of two points: more of them are needed",
+        "flattening above the surface changes along velocity over less than the distance of two points: more points are needed",
     )
     assert fit(250.0)[1] > 0.02
 
@@ -369,10 +367,10 @@ def test_any_key_of_the_scene_is_an_axis(tmp_path, capsys) -> None:
         path = tmp_path / f"f{number}.toml"
         path.write_text(whole.points[name])
         pretend(tmp_path, path.stem, flattening_ratio=0.5 - 0.1 * friction)
-    assert "vary in none of the axes" in drawn(tmp_path, capsys)
+    assert "none of the axes varies" in drawn(tmp_path, capsys)
     said = drawn(tmp_path, capsys, "--axes", "contact.friction")
     assert "rms error leaving out one point" in said
-    assert "next point worth a run: contact.friction 0." in said
+    assert "best next point: contact.friction 0." in said
     with (tmp_path / "map.csv").open() as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
     assert sorted(float(row["contact.friction"]) for row in rows) == [0.0, 0.2, 0.5, 0.8]

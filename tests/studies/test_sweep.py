@@ -82,12 +82,12 @@ def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(
     rows = {row["point"]: row for row in table(tmp_path)}
     assert (rows[good]["status"], rows[good]["flattening_ratio"]) == ("done", 0.5)
     assert rows[bad]["status"] == "failed"
-    assert "must stay below 0.95 of the melting point of Ni" in rows[bad]["reason"]
+    assert "must be below 0.95 times the melting point of Ni" in rows[bad]["reason"]
     assert (rows[bad]["velocity_m_s"], rows[bad]["temperature_K"]) == (400.0, 1700.0)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"1/2 {bad}: failed: particle.temperature")
-    assert said[1:] == ["1 of 2 points have ended before"]
+    assert said[1:] == ["1 of 2 points are already computed"]
     two.run(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")} == times
 
@@ -113,7 +113,7 @@ def test_time_to_go_of_a_sweep_is_that_of_the_points_that_are_left(tmp_path, mon
     monkeypatch.setattr(study_runs, "time", SimpleNamespace(monotonic=iter([0.0, 40.0, 80.0, 120.0]).__next__))
     said: list[str] = []
     study_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=ThreadPoolExecutor(1))
-    assert [line.partition("; ")[2] for line in said] == ["about 80 s to go", "about 40 s to go", ""]
+    assert [line.partition("; ")[2] for line in said] == ["about 80 s remaining", "about 40 s remaining", ""]
 
 
 @pytest.mark.parametrize(("number", "verdict"), [("TERM", None), ("INT", None), ("KILL", "killed by SIGKILL")])
@@ -257,7 +257,7 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
     said: list[str] = []
     statuses = study_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=Losing())
     assert statuses == {"a": "done", "b": "stopped", "c": "stopped"}
-    assert sum("its worker was lost (node down)" in line for line in said) == 1
+    assert sum("its process was lost (node down)" in line for line in said) == 1
 
 
 def test_the_server_of_the_slurm_jobs_ends_with_the_sweep() -> None:

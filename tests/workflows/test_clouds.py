@@ -100,10 +100,10 @@ def test_columns_are_named_by_the_user(tmp_path: Path) -> None:
     points = read_points(tmp_path / "a.csv", (), ["-", "z", "x", "y", "T"])
     np.testing.assert_array_equal(points.x, BALL[:, [1, 2, 0]])
     np.testing.assert_array_equal(points.fields["T"], T)
-    with pytest.raises(InputError, match="it has 5 columns, 6 names are given"):
+    with pytest.raises(InputError, match="it has 5 columns, but 6 names are given"):
         read_points(tmp_path / "a.csv", (), list("xyzabc"))
     np.savez(tmp_path / "a.npz", points=BALL)
-    with pytest.raises(InputError, match="has no named columns"):
+    with pytest.raises(InputError, match="has no columns to name"):
         read_points(tmp_path / "a.npz", (), list("xyz"))
 
 
@@ -117,7 +117,7 @@ def test_units_of_names_are_taken_and_held_against_the_option(tmp_path: Path) ->
     with pytest.raises(SplatError, match="--unit differs from the unit of x, y and z in the file, um"):
         of_file(tmp_path / "a.csv", unit=1e-3)
     (tmp_path / "b.csv").write_text(text(head="x,y,z,T [F]"))
-    assert "field 'T' left out: its unit 'F' is not understood" in of_file(tmp_path / "b.csv", unit=1e-6)[1]
+    assert "field 'T' is left out: its unit 'F' is unknown" in of_file(tmp_path / "b.csv", unit=1e-6)[1]
 
 
 @pytest.mark.parametrize("kind", [".stl", ".ply", ".obj", ".vtk", ".vtu"])

@@ -92,7 +92,7 @@ def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> N
     assert made["dt_factor"] == 0.5
     said = [line for line in log.lines if "retried" in line]
     assert said == [
-        f"retried at {made['time_s'] * 1e9:.2f} ns: made to fail; {REMEDIES[0].words}, from the start of the impact"
+        f"retried at {made['time_s'] * 1e9:.2f} ns: made to fail; the impact is computed again from its start with {REMEDIES[0].words}"
     ]
     assert said[0] in result.warnings
     again = next(i for i in range(1, len(trouble.steps)) if trouble.times_seen[i] < trouble.times_seen[i - 1])
