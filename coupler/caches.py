@@ -1,4 +1,4 @@
-"""Cache folders: compiled kernels, and the pace of the machine."""
+"""Cache folders for compiled kernels and for the measured speed of the machine."""
 
 import atexit
 import hashlib
@@ -22,11 +22,12 @@ def user_folder() -> Path:
 
 
 def kernel_folder(package: Path, asked: str | None) -> Path:
-    """The folder for the compiled kernels of a package; it is different for each state of their sources.
+    """The folder for the compiled kernels of a package. Each version of the sources has its own folder.
 
-    numba checks the file of a kernel, but not the files of functions that it calls: with a single folder a kernel would use an old
-    strength law after an update. The folder is in the first writable place of: asked ($NUMBA_CACHE_DIR of the user), the folder of the
-    package, the cache folder of the user; without any, it is a temporary folder of this process.
+    numba checks only the source file of a kernel, not the files of functions that the kernel calls. With a single folder, a kernel
+    would use an old strength law after an update. The folder is in the first of these places that is writable: `asked`
+    ($NUMBA_CACHE_DIR of the user), the folder of the package, the cache folder of the user. If none is writable, it is a temporary
+    folder of this process.
     """
     sources = [path.read_bytes() for path in sorted(package.glob("*/*.py"))]
     state = hashlib.sha256(b"".join(source for source in sources if b"njit" in source)).hexdigest()

@@ -1,7 +1,7 @@
-"""numba's `njit` for all kernels, with a lock, so that processes that compile at the same time do not damage the cache.
+"""The decorator `njit` of numba for all kernels, with a lock, so that simultaneous compilations do not damage the cache.
 
-numba numbers the files of the compiled kernels of a function by an index, which it reads and writes without a lock. Two processes that
-save kernels for different argument types at the same time can use the same number; a later process then loads the wrong kernel.
+numba numbers the cache files of a function by an index file, which it reads and writes without a lock. If two processes save kernels
+for different argument types at the same time, they can use the same number; a later process then loads the wrong kernel.
 """
 
 import fcntl

@@ -43,7 +43,7 @@ class Ties(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def softening(a: float, b: float, inv_G_n: float, inv_G_s: float) -> float:
-    """The term 2 (1 - D) dD / dl of `yielding`, m2/J. a, b: normal and shear traction over strength."""
+    """The term 2 (1 - D) dD / dl of `yielding`, m2/J. a, b: normal and shear traction, each divided by its strength."""
     e = a * a * inv_G_n if a > 0.0 else 0.0
     return e + b * b * inv_G_s if b > 0.0 else e
 
@@ -54,9 +54,9 @@ def flow(
 ) -> float:  # fmt: skip
     """The multiplier dl of `yielding` that returns the tractions to the yield locus; infinite if the bond breaks completely.
 
-    a, b: trial tractions over strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| at the end of the
-    step, m + dl softening / 2 m = intact. The solver is regula falsi (Illinois) in y = c dl / (1 + c dl), in which the equation is
-    linear for tension or shear alone.
+    a, b: trial tractions divided by strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| at the end of
+    the step, m + dl softening / 2 m = intact. The solver is regula falsi (Illinois) in y = c dl / (1 + c dl), in which the equation
+    is linear for tension or shear alone.
     """
     c = 0.0
     la = lb = 0.0  # direction of the tractions as dl grows without bound
@@ -206,7 +206,7 @@ def _add_reaction(
     f: Floats, t: Ints, w: Floats, tn: float, stiff: float, turn: float, n: Vector, s: Vector, u: Vector, v: Vector
 ) -> None:  # fmt: skip
     """Add the reaction to the force -(tn n + stiff s), N, to the corners t of a triangle. u, v: its edges, m; w: barycentric
-    coordinates of the bond's point; turn N/m: factor of the couple, from dU/dn with dn = (1 - n n) d(u x v) / |u x v|."""
+    coordinates of the bond's point; turn (N/m): factor of the couple, from dU/dn with dn = (1 - n n) d(u x v) / |u x v|."""
     b, c = cross(v, s), cross(s, u)
     for d in range(3):
         force, couple_b, couple_c = -(tn * n[d] + stiff * s[d]), -turn * b[d], -turn * c[d]
@@ -219,10 +219,11 @@ def _add_reaction(
 def in_contact(
     rows: Ints, start: Ints, ring: Ints, penetration: Floats, gaps: Floats, reach: float, depth: Floats
 ) -> None:  # fmt: skip
-    """Write depth (n,) m of the points `rows`, the argument of `bond_forces`.
+    """Write the depth (n,) m of the points `rows`, an argument of `bond_forces`, to `depth`.
 
-    penetration, gaps (k,) m: of all points; ring[start[i]:start[i + 1]]: neighbours of row i. Two different triangulations touch only
-    at some of their points: a point closer than `reach` (m) to the other surface, with a neighbour in contact, is in contact too.
+    penetration, gaps (k,) m: those of all points; ring[start[i]:start[i + 1]]: neighbours of row i. Two different triangulations
+    touch only at some of their points. Therefore a point that is closer than `reach` (m) to the other surface and has a neighbour in
+    contact counts as in contact, too.
     """
     for i in range(len(rows)):
         depth[i] = penetration[rows[i]]
@@ -239,7 +240,7 @@ def in_contact(
 def spring_forces(
     nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, active: int, f: Floats
 ) -> None:
-    """Add the product of the springs' stiffness matrix and w (N,3) m to f (N,3) N. w is zero from node `active` on. strength (n,)
+    """Add the product of the springs' stiffness matrix and w (N,3) m to f (N,3) N. Rows of w from `active` on are zero. strength (n,)
     N/m: stiffness of each spring, equal in all directions."""
     for i in range(len(nodes)):
         if min(nodes[i], triangles[i, 0], triangles[i, 1], triangles[i, 2]) >= active:

@@ -1,4 +1,4 @@
-"""Pairs of points and triangles that are near each other, by bounding boxes and a grid (numba)."""
+"""Search for pairs of points and triangles that are near each other, by bounding boxes and a grid (numba)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 def _pairs(
     points: Floats, reach: Floats, own: Ints, low: Floats, high: Floats, of: Ints, cell: float, room: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """`pairs_within`, but stores at most `room` pairs. Also returns the number of all pairs."""
+    """As `pairs_within`, but it stores at most `room` pairs. Also returns the number of all pairs."""
     n, most = len(points), reach.max()
     least, greatest = bounds(low, high)
     near = points_within(points, np.arange(n), least - most, greatest + most)

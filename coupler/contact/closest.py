@@ -1,4 +1,4 @@
-"""Closest-point projection of points on triangles, and the choice among several bodies (numba)."""
+"""Projection of points on the closest point of triangles, and the choice of the triangle among several bodies (numba)."""
 
 from math import inf, sqrt
 
@@ -118,8 +118,8 @@ def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, 
 
 @njit(cache=True, nogil=True)
 def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
-    """Smallest number above `after` of a body that has a face in `among` near p; ANY for none. reach: square of the largest
-    distance between p and the box of the face, m2."""
+    """The smallest body number above `after` among the bodies that have a face in `among` near p; ANY if there is none. reach: square
+    of the largest distance between p and the box of the face, m2."""
     found = ANY
     for r in among:
         candidate = faces[r]
@@ -191,8 +191,9 @@ def reachable(
 ) -> tuple[Ints, Ints]:  # fmt: skip
     """Candidates (start, face) that the points `rows` can touch while point and faces move by travel (n,) m relative to each other.
 
-    These candidates are at most 2 travel farther away than the closest face, or, with candidates of several bodies, than limit (n,)
-    m. A point without a closest face keeps all its candidates. Points that are not in `rows` keep none.
+    These candidates are at most 2 travel farther away than the closest face. With candidates of several bodies they are at most 2
+    travel farther away than limit (n,) m. A point without a closest face keeps all its candidates. Points that are not in `rows` keep
+    none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
     count = last = 0

@@ -33,8 +33,8 @@ def _solve3(
 
 @njit(cache=True, nogil=True)
 def add_travel(lo: int, hi: int, m: Motion, x: Floats, active: int) -> None:
-    """Increase the travel of the bodies [lo, hi) by the largest displacement of a node of their candidates since the last call.
-    Only the first `active` nodes move."""
+    """Increase the travel of the bodies lo to hi - 1 by the largest displacement, since the last call, of a node of their candidate
+    faces. Only the first `active` nodes move."""
     for body in range(lo, hi):
         most = 0.0
         for q in range(m.bounds[body], m.bounds[body + 1]):
@@ -90,7 +90,8 @@ def ignored_depth(deep: float, before: float, moved: float, ignored: float) -> f
 def _update_history(
     i: int, k: float, limit: float, moved: float, before: float, proj: Projections, faces: Faces, h: History, lost: Floats
 ) -> None:  # fmt: skip
-    """Update the history h of point i to its projection. k N/m; before: gap at the last projection, m; moved: see `ignored_depth`.
+    """Update the contact history h of point i to its new projection. k (N/m): stiffness; before: gap at the last projection, m;
+    moved: see `ignored_depth`.
 
     A point deeper than limit (m) loses its contact: it counts as outside, because beyond the margin of the search nearer faces can
     be missing. lost grows by [number of such points with a contact, energy (J) of their springs]. If the second body becomes the

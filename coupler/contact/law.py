@@ -31,7 +31,7 @@ def stiffness(bulk_modulus: float, area: float, spacing: float, factor: float = 
     """Stiffness k = factor K a / h, N/m, of a point. K: softer bulk modulus, Pa; a: area of the point, m2; h: spacing of the
     surface, m.
 
-    The contact is about as stiff as a layer of the material one spacing thick and does not limit the time step. Under a pressure p
-    the penetration is p h / (factor K): one twentieth of a spacing at 10 GPa in nickel.
+    The contact is about as stiff as a layer of the material of one spacing thickness and does not limit the time step. Under a
+    pressure p the penetration is p h / (factor K): one twentieth of a spacing at 10 GPa in nickel.
     """
     return factor * bulk_modulus * area / spacing

@@ -44,7 +44,7 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
 
     team (FAILED + 1,): for each loop the number of ranges begun and done, zero at the start; a value at FAILED ends the waiting. The
     ranges depend on count and least only: sums over parts, added in their order, are equal for any number of threads. A thread may
-    start after the caller has returned. It then finds no range, but evaluates count again: count must not change.
+    start after the caller has returned. Then it finds no range, but it still evaluates `count`. Therefore `count` must not change.
     """
     parts = max(1, min(PARTS, count // least))
     while True:

@@ -23,7 +23,8 @@ CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root 
 
 @njit(cache=True, nogil=True, inline="always")
 def _gradient(a0: Floats, a1: Floats, a2: Floats, a3: Floats, B: Floats) -> Matrix:
-    """Sum over the four nodes of a_I (x) dN_I/dX, row by row. The gradient of node 0 is minus the sum of the others."""
+    """Sum over the four nodes of a_I (x) dN_I/dX, row by row, where (x) is the outer product. The gradient of node 0 is minus the sum
+    of the others."""
     d10, d11, d12 = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
     d20, d21, d22 = a2[0] - a0[0], a2[1] - a0[1], a2[2] - a0[2]
     d30, d31, d32 = a3[0] - a0[0], a3[1] - a0[1], a3[2] - a0[2]

@@ -1,5 +1,4 @@
-"""Coarse grid of the dynamic relaxation. With nodal masses alone a long wave takes as many steps as there are elements across the
-bodies.
+"""Coarse grid for the dynamic relaxation. Without it a long wave takes as many steps as there are elements across the bodies.
 
 A grid of boxes lies over the mesh. Displacements that are linear between grid points get an additional inverse mass, proportional
 to their flexibility, so that all of them have about the same frequency:
@@ -94,10 +93,10 @@ def _stiffness(
 
 
 class CoarseGrid:
-    """Coarse grid over the active part of a target."""
+    """Coarse grid that covers the active part of a target."""
 
     def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
-        """free (n,) bool: nodes that can move; mass (n,) kg; dt s: stable time step with these masses; links: springs between
+        """free (n,) bool: nodes that can move; mass (n,) kg; dt (s): stable time step with these masses; links: springs between
         bodies."""
         n, m = t.active_nodes, t.active_elements
         points, weights = _interpolation(t.nodes.x[:n])
@@ -161,7 +160,7 @@ def _between(P: sparse.csr_array, springs: SpringTable) -> sparse.csr_array:
 
 
 def _of_half_space(P: sparse.csr_array, t: Target) -> sparse.csr_array:
-    """Stiffness matrix (3g,3g) N/m of the half-space for displacements of the grid."""
+    """Stiffness matrix (3g,3g) N/m of the half-space around the target, for displacements of the grid."""
     active = t.spring_nodes < t.active_nodes
     own = sparse.kron(P[t.spring_nodes[active]], sparse.eye_array(3), format="csr")
     springs = t.springs[active]

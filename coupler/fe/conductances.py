@@ -36,8 +36,9 @@ class Links:
 
 
 class Conductors(NamedTuple):
-    """Elements, or links. conn (k,4): nodes; w (k,6) m: conductance of each pair for a conductivity of 1; start, table: conductors
-    around each node, as in `Cells`; slot (4k,4): places of the four nodes of each such conductor in the matrix row of the node."""
+    """Elements or links that conduct heat. conn (k,4): nodes; w (k,6) m: conductance of each pair of nodes for a conductivity of 1;
+    start, table: conductors around each node, as in `Cells`; slot (4k,4): places of the four nodes of each such conductor in the
+    matrix row of the node."""
 
     conn: Ints
     w: Floats
@@ -99,8 +100,8 @@ class Conductances:
         return self._of(data)
 
     def implicit(self, K: csr_array, time: float, free: np.ndarray, capacity: np.ndarray) -> csr_array:
-        """The matrix capacity + time K for nodes with free (n,) = 1, the identity for nodes with free = 0. capacity (n,) J/K; time
-        s."""
+        """The matrix capacity + time K. Rows of fixed nodes, with free (n,) = 0, are those of the identity matrix. capacity (n,) J/K;
+        time (s)."""
         data = np.empty(len(self.indices))
 
         def write(lo: int, hi: int) -> None:
@@ -115,7 +116,7 @@ class Conductances:
 
 @njit(cache=True, nogil=True)
 def _between_corners(lo: int, hi: int, x: Floats, conn: Ints, w: Floats) -> None:
-    """Write -grad N_a . grad N_b V of each pair of corners of the elements to w (m,6) m."""
+    """Write the conductance -grad N_a . grad N_b V (for a conductivity of 1) of each pair of corners of the elements to w (m,6) m."""
     for e in range(lo, hi):
         # gradients of the shape functions of nodes 1 to 3, times six volumes
         p0, p1, p2, q0, q1, q2, r0, r1, r2, det = edge_cofactors(

@@ -33,8 +33,9 @@ LEAST = 4000  # elements or nodes in a range of a loop that threads share
 @dataclass(eq=False)
 class ConductionState:
     """State of the conduction over n nodes and m elements. last (m,) K: temperatures of the elements after the last conduction;
-    capacity (n,) J/K, T (n,) K: of the nodes; known (n,): whether a node has a temperature; known_elements: number of elements, the
-    first ones, whose nodes have one; elapsed s: time since the last conduction; steps: number since the start."""
+    capacity (n,) J/K, T (n,) K: heat capacity and temperature of the nodes; known (n,): whether a node has a temperature;
+    known_elements: number of elements (the first ones) whose nodes have a temperature; elapsed (s): time since the last conduction;
+    steps: number since the start."""
 
     last: Annotated[np.ndarray, Shape(-1)]
     capacity: Annotated[np.ndarray, Shape(-1)]
@@ -215,8 +216,8 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 @njit(cache=True, nogil=True)
 def take_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
-    """Add heat gain (m,) J to elements: T by enthalpy, sigma_y by softening, heat by the part that makes pressure. Returns the sum
-    of this part, J."""
+    """Add heat gain (m,) J to elements: T increases by the enthalpy, sigma_y decreases by softening, and `heat` increases by the part
+    that causes pressure. Returns the sum of this part, J."""
     total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:

@@ -157,7 +157,7 @@ class HighestFrequency(FrequencyState):
         return copied(self)
 
     def restore(self, state: FrequencyState) -> None:
-        """Restore a `state` of the same target. Raises CheckpointError where it does not fit."""
+        """Restore a `state` of the same target. Raises CheckpointError if the state does not fit the target."""
         put(state, self)
         if not 0 <= self.known <= len(self.w):
             raise unfit("the vector of the highest frequency has another length")
@@ -170,11 +170,11 @@ class HighestFrequency(FrequencyState):
         self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None,
         inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> float:  # fmt: skip
-        """Stable time step (s), without damping, of the first n nodes and m elements of a `Target`. bound s: safe bound of the
+        """Stable time step (s), without damping, of the first n nodes and m elements of a `Target`. bound (s): safe bound of the
         elements, with springs and inertia.
 
-        springs: between nodes; inertia: of scaled elements; masses: masses (n,) kg of the nodes and their inverses, 0 for fixed
-        nodes, in place of the masses of the target.
+        springs: springs between nodes; inertia: inertia of scaled elements; masses: masses (n,) kg of the nodes and their inverses, 0
+        for fixed nodes, in place of the masses of the target.
         """
         mesh, inertia = t.mesh, inertia or ElementInertia()
         mass, inverse = masses or (t.mass, t.inv_mass)

@@ -1,4 +1,4 @@
-"""Extents of a body by its volume, on which a thin jet has little effect."""
+"""Extents of a body, defined by volume, so that a thin jet of material has little effect on them."""
 
 from math import acos, cos, pi
 
@@ -19,8 +19,8 @@ DIRECTIONS = 8  # of the widths, over half a turn
 
 
 def extent(points: Floats, triangles: Ints, direction: Floats) -> tuple[float, float]:
-    """Ends of a body along a direction, m. Two planes have SHARE of the volume between them, and half of the rest on each other side.
-    Their distance is divided by OF_SPHERE, so that the extent of a sphere is its diameter.
+    """Both ends of a body along a direction, m. Two planes normal to the direction have SHARE of the volume between them and equal
+    parts of the rest on both sides. Their distance is divided by OF_SPHERE, so that the extent of a sphere is its diameter.
 
     points (n,3) m and triangles (m,3), outwards, of a closed surface; direction (3,), a unit vector.
     """
@@ -51,8 +51,8 @@ def _extent(corners: Floats, direction: Floats) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _level(share: float, low: float, high: float, whole: float, height: Floats, shade: Floats) -> float:
-    """Height (m), between low and high, of the plane with a share of the volume `whole` (m3) below it. Illinois variant of false
-    position (Dowell & Jarratt 1971, BIT 11, 168)."""
+    """Height (m), between low and high, of the plane that has a given share of the volume `whole` (m3) below it. Illinois variant of
+    false position (Dowell & Jarratt 1971, BIT 11, 168)."""
     a, f_a, b, f_b = low, -share, high, 1.0 - share
     for _ in range(100):
         z = (a * f_b - b * f_a) / (f_b - f_a)
@@ -69,10 +69,10 @@ def _level(share: float, low: float, high: float, whole: float, height: Floats, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _volume_below(z: float, height: Floats, shade: Floats) -> float:
-    """Volume (m3) of a body below the plane at z m: divergence theorem for the field (height - z) normal to the plane.
+    """Volume (m3) of a body below the plane at z (m): divergence theorem for the field (height - z) normal to the plane.
 
-    height (m,3) m: of the corners of each triangle of the surface, ascending; shade (m,) m2: signed area projected on the plane. The
-    integral of min(height - z, 0) over a triangle is its area times a cubic of the heights.
+    height (m,3) m: heights of the corners of each triangle of the surface, ascending; shade (m,) m2: signed area projected on the
+    plane. The integral of min(height - z, 0) over a triangle is its area times a cubic of the heights.
     """
     volume = 0.0
     for t in range(len(shade)):

@@ -12,20 +12,20 @@ LARGEST, SMALLEST = 0.0, 2.0 * pi / 3.0  # rad: which root of the characteristic
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def matrix_of(a: Floats, i: int) -> Matrix:
-    """Matrix i of a (n,9)."""
+    """The 3x3 matrix in row i of the array a (n,9), as a tuple."""
     return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5], a[i, 6], a[i, 7], a[i, 8]
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def write_matrix(a: Floats, i: int, b: Matrix) -> None:
-    """a[i] = b, a (n,9)."""
+    """Write the matrix b to row i of the array a (n,9)."""
     for k in range(9):
         a[i, k] = b[k]
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def sum_of(a: Matrix, b: Matrix) -> Matrix:
-    """a + b."""
+    """The matrix a + b."""
     return (
         a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7], a[8] + b[8],
     )  # fmt: skip
@@ -33,7 +33,7 @@ def sum_of(a: Matrix, b: Matrix) -> Matrix:
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def add_outer(a: Matrix, u: Vector, v: Vector) -> Matrix:
-    """a + u (x) v."""
+    """The matrix a + u (x) v, where (x) is the outer product."""
     return (
         a[0] + u[0] * v[0], a[1] + u[0] * v[1], a[2] + u[0] * v[2],
         a[3] + u[1] * v[0], a[4] + u[1] * v[1], a[5] + u[1] * v[2],
@@ -95,7 +95,8 @@ def applied(a: Matrix, x: float, y: float, z: float) -> Vector:
 
 @njit(cache=True, nogil=True, inline="always")
 def eigenvalue(a: float, b: float, c: float, d: float, e: float, f: float, which: float) -> float:
-    """The eigenvalue LARGEST or SMALLEST of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""
+    """The LARGEST or SMALLEST eigenvalue (argument `which`) of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]], by a closed
+    formula."""
     mean = (a + b + c) / 3.0
     off = f * f + e * e + d * d
     spread = sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)

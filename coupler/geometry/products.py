@@ -1,4 +1,4 @@
-"""Products and systems of equations with sparse matrices, in all threads (numba)."""
+"""Sparse matrices: products with vectors, and solution of linear systems, in all threads (numba)."""
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
@@ -12,14 +12,14 @@ LEAST = 2000  # rows in a range, at least
 
 
 def times(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
-    """A x (n,) for a matrix A (n,k) and x (k,)."""
+    """The product A x (n,) of a sparse matrix A (n,k) and a vector x (k,)."""
     product = np.empty(A.shape[0])
     share(lambda lo, hi: _products(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
 
 
 def times_rows(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:
-    """A x (n,3) for a matrix A (n,k) and x (k,3)."""
+    """The product A x (n,3) of a sparse matrix A (n,k) and x (k,3)."""
     product = np.empty((A.shape[0], 3))
     share(lambda lo, hi: products_of_rows(lo, hi, A.indptr, A.indices, A.data, x, product), len(product), LEAST)
     return product
@@ -49,7 +49,8 @@ def _iterate(
     team: Ints, indptr: Ints, indices: Ints, data: Floats, inverse: Floats, beta: float, rz: float, x: Floats, r: Floats, p: Floats,
     q: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """An iteration of `solve`. sums (PARTS,3), by parts: p . A p, then r . z and r . r of the new residual."""
+    """One iteration of `solve`. Writes to sums (PARTS,3), for each part of the rows: p . A p, and r . z and r . r of the new
+    residual."""
     for lo, hi, _ in ranges(team, 0, len(x), LEAST):
         for i in range(lo, hi):
             p[i] = inverse[i] * r[i] + beta * p[i]

@@ -23,7 +23,8 @@ TIE = 1e-6
 def even(
     vertices: np.ndarray, triangles: np.ndarray, size: float, project: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """A closed surface (k,3) m, (m,3) of the same topology with edges of about `size` m.
+    """A closed surface with the same topology and with edges of about `size` m. The given surface and the result have vertices (k,3)
+    m and triangles (m,3).
 
     project(vertices) -> vertices: moves the vertices to the exact surface after each round; None: they are only relaxed along the
     surface.
@@ -46,7 +47,7 @@ def even(
 
 
 def relaxed(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Vertices (k,3), each moved along the surface by half the distance to the mean of its neighbours."""
+    """Vertices (k,3) after smoothing: each is moved along the surface by half the distance to the mean of its neighbours."""
     total, count = np.zeros_like(x), np.bincount(t.ravel(), minlength=len(x))
     for a, b in ((0, 1), (1, 2), (2, 0)):  # each edge of a closed surface occurs once in each direction
         for i in range(3):
@@ -105,7 +106,7 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
 
 @njit(cache=True, nogil=True)
 def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
-    """Whether triangle f rotates too far or degenerates if its corner `old` moves to p."""
+    """Whether triangle f rotates too much, or loses its area, if its corner `old` moves to p."""
     c = np.empty((3, 3))
     d = np.empty((3, 3))
     for k in range(3):

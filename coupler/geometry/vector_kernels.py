@@ -1,4 +1,4 @@
-"""Vectors of three numbers in kernels (numba), inlined by the compiler."""
+"""Operations on vectors of three numbers in kernels (numba). The compiler inlines them."""
 
 from ..compiling import njit
 from ..core.arrays import Floats, Vector
@@ -7,7 +7,7 @@ from .matrix_kernels import ROUNDING
 
 @njit(cache=True, nogil=True, inline="always")
 def cross(u: Vector, v: Vector) -> Vector:
-    """Vector product."""
+    """Vector product u x v."""
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
@@ -21,7 +21,7 @@ def area_vector(A: Floats, B: Floats, C: Floats) -> Vector:
 
 @njit(cache=True, nogil=True, inline="always")
 def from_foot(p: Floats, A: Floats, B: Floats, C: Floats, a: float, b: float, c: float) -> Vector:
-    """p - (a A + b B + c C): vector to p from the point of a triangle with the barycentric coordinates a, b, c."""
+    """Vector to p from the point of triangle ABC with the barycentric coordinates a, b, c: p - (a A + b B + c C)."""
     return (
         p[0] - (a * A[0] + b * B[0] + c * C[0]),
         p[1] - (a * A[1] + b * B[1] + c * C[1]),
@@ -31,7 +31,7 @@ def from_foot(p: Floats, A: Floats, B: Floats, C: Floats, a: float, b: float, c:
 
 @njit(cache=True, nogil=True, inline="always")
 def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
-    """f[i] += (f0, f1, f2), f (n,3)."""
+    """Add the vector (f0, f1, f2) to row i of f (n,3)."""
     f[i, 0] += f0
     f[i, 1] += f1
     f[i, 2] += f2
@@ -39,17 +39,17 @@ def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def vector_of(a: Floats, i: int) -> Vector:
-    """a[i], a (n,3)."""
+    """Row i of a (n,3), as a tuple."""
     return a[i, 0], a[i, 1], a[i, 2]
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def apart(a: Floats, i: int, j: int) -> Vector:
-    """a[j] - a[i], a (n,3)."""
+    """The vector a[j] - a[i] from point i to point j of a (n,3)."""
     return a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def dot(a: Vector, b: Vector) -> float:
-    """Scalar product."""
+    """Scalar product of a and b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -1,4 +1,5 @@
-"""Transfer from points to the surface that they carry, and of forces back to the points: a sparse matrix and its transpose (numba)."""
+"""Transfer of positions and velocities from points to the surface that they carry, and of forces from the surface to the points: a
+sparse matrix and its transpose (numba)."""
 
 from ..compiling import njit
 from ..core.arrays import Arrays, Floats, Ints
@@ -10,8 +11,8 @@ LEAST_ROWS = 50  # in a range of a loop that threads share
 
 @njit(cache=True, nogil=True)
 def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats) -> None:
-    """Write W x and W v to the given rows of out_x and out_v (k,3), in all threads. x, v (n,3); W: start (k+1,), columns, weights
-    (CSR)."""
+    """Write W x and W v to the given rows of out_x and out_v (k,3), in all threads. x, v (n,3); W: sparse matrix, given by start
+    (k+1,), columns, weights (CSR)."""
     start, columns, weights = W
     for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
         for r in rows[lo:hi]:
@@ -21,7 +22,7 @@ def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x:
 
 @njit(cache=True, nogil=True)
 def spread(rows: Ints, start: Ints, columns: Ints, weights: Floats, forces: Floats, out: Floats) -> None:
-    """Add W^T forces to out (n,3), for the given rows of forces (k,3), in their order. W: as in `combine_both`."""
+    """Add W^T forces to out (n,3), for the given rows of forces (k,3), in the order of the rows. W: as in `combine_both`."""
     for q in range(len(rows)):
         r = rows[q]
         a, b, c = forces[r, 0], forces[r, 1], forces[r, 2]

@@ -106,7 +106,7 @@ def trial(stress: Floats, i: int, c: float, L: Matrix) -> Symmetric:
 
 @_inlined
 def squared(S: Symmetric) -> float:
-    """S : S."""
+    """The double contraction S : S of a symmetric tensor."""
     return S[0] * S[0] + S[3] * S[3] + S[5] * S[5] + 2.0 * (S[1] * S[1] + S[2] * S[2] + S[4] * S[4])
 
 
@@ -124,8 +124,8 @@ def flow(i: int, law: Law, S: Symmetric, square: float, sigma_y: Floats) -> tupl
 
 @_inlined
 def harden_and_press(i: int, dt: float, law: Law, J: float, deps: float, a: State) -> float:
-    """Update the plastic state and the pressure of point i. Returns the mean stress: Hugoniot pressure of n+1 and thermal pressure
-    of n."""
+    """Update the plastic state and the pressure of point i. Returns the mean stress: the Hugoniot pressure of step n+1 and the
+    thermal pressure of step n."""
     mean = -hugoniot_pressure(law, J)
     if on(law.Gamma0) and law.Gamma0 > 0.0:
         mean += (hugoniot_pressure(law, a.J[i]) - a.p[i]) * a.J[i] / J
@@ -144,7 +144,7 @@ def harden_and_press(i: int, dt: float, law: Law, J: float, deps: float, a: Stat
 
 @_inlined
 def write_stress(stress: Floats, i: int, S: Symmetric, mean: float) -> Symmetric:
-    """stress[i] = S + mean. Returns it."""
+    """Write the stress S + mean of a point to row i of `stress`, and return it."""
     sigma = S[0] + mean, S[1], S[2], S[3] + mean, S[4], S[5] + mean
     for k in range(6):
         stress[i, k] = sigma[k]
@@ -184,7 +184,7 @@ def stress_points(
 
 @_inlined
 def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector) -> Vector:
-    """f + Q_j g_ji - Q_i g_ij for pair k."""
+    """The force f + Q_j g_ji - Q_i g_ij of pair k: `f` plus the force from the stresses of both points."""
     g = gradient[k]
     return (
         f[0] + Q[j, 0] * g[3] + Q[j, 1] * g[4] + Q[j, 2] * g[5] - (Q[i, 0] * g[0] + Q[i, 1] * g[1] + Q[i, 2] * g[2]),
@@ -218,7 +218,8 @@ def hourglass(
 
 @_inlined
 def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """x . v_half (m2/s) at n and at n+1; in the last step of a chunk the value at n+1 includes the half step after it."""
+    """The products x . v_half (m2/s) at n and at n+1. In the last step of a chunk the value at n+1 includes the following half
+    step."""
     now = dot(x, v_half)
     before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
     return before, now + dot(x, v) if is_last else now
@@ -281,7 +282,7 @@ def grow_gradients(n: int, grown: Floats, s: Sides, d: Deformation, eps_gradient
 
 @njit(cache=True, nogil=True)
 def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
-    """Write the Green-Lagrange strain of deformation gradients F (n,9) to strain (n,6), xx yy zz xy xz yz."""
+    """Write the Green-Lagrange strain of deformation gradients F (n,9) to strain (n,6), in the order xx yy zz xy xz yz."""
     for i in range(lo, hi):
         f = F[i]
         strain[i, 0] = 0.5 * (f[0] * f[0] + f[3] * f[3] + f[6] * f[6] - 1.0)
@@ -294,8 +295,8 @@ def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def share_losses(team: Ints, n: int, s: Sides, losses: Losses, heat: Floats, sums: Floats) -> None:
-    """Give half the loss of each pair to each of its points, in all threads. Writes heat (n,) J, and adds to sums (PARTS,2) J, part
-    by part, the losses by viscosity and by hourglass control. The losses restart from zero."""
+    """Give half of the energy loss of each pair to each of its two points, in all threads. Writes heat (n,) J. Adds to sums (PARTS,2)
+    J, for each part, the losses by viscosity and by hourglass control. Afterwards the losses are zero."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         for i in range(lo, hi):
             viscous = control = 0.0
@@ -332,14 +333,14 @@ def sum_forces(lo: int, hi: int, s: Sides, force: Floats, f: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
-    """`stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
+    """Do `stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         failed[part] = stress_points(lo, hi, *of_points)
 
 
 @njit(cache=True, nogil=True)
 def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
-    """`pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
+    """Do `pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, len(of_pairs[-1]), LEAST_PAIRS):
         pair_forces(lo, hi, *of_pairs)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

@@ -102,7 +102,7 @@ def _residual_forces(
 def stress_points(
     lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, sides: Sides, m: Motion, d: Deformation, state: State, r: Residuals,
 ) -> int:  # fmt: skip
-    """`compiled_kernels.stress_points` with residuals. The strain increment follows from U at n and n+1, not from v.
+    """As `compiled_kernels.stress_points`, but with residuals. The strain increment follows from U at n and n+1, not from v.
 
     Deviator and residuals form one yield condition and return to it by one factor. Q receives -V J R sigma U^-1 plus the term that
     balances the forces of the residuals.
@@ -140,7 +140,7 @@ def pair_forces(
     lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses, residual: Floats,
     force: Floats,
 ) -> None:  # fmt: skip
-    """`compiled_kernels.pair_forces` with the forces of the residuals of both sides in place of hourglass control."""
+    """As `compiled_kernels.pair_forces`, but with the forces of the residuals of both sides in place of hourglass control."""
     for k in range(lo, hi):
         i, j = p.points[k, 0], p.points[k, 1]
         x, v = apart(m.x, i, j), apart(m.v, i, j)
@@ -155,14 +155,14 @@ def pair_forces(
 
 @njit(cache=True, nogil=True)
 def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
-    """`stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
+    """Do `stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
         failed[part] = stress_points(lo, hi, *of_points)
 
 
 @njit(cache=True, nogil=True)
 def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
-    """`pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
+    """Do `pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, len(of_pairs[-1]), LEAST_PAIRS):
         pair_forces(lo, hi, *of_pairs)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

@@ -42,7 +42,8 @@ class Small(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -> None:
-    """Write sum |F^-T g|^2 over the gradients of each point, a measure of the stiffness of its cell, to stiffness (n,) 1/m2."""
+    """Write sum |F^-T g|^2 over the gradients g of each point to stiffness (n,) 1/m2. It is a measure of the stiffness of the point's
+    cell."""
     for i in range(lo, hi):
         B, _ = inverse(matrix_of(F, i))
         total = 0.0
@@ -108,9 +109,9 @@ class PointFrequency:
         self, law: Laws, volume: float, sides: Sides, pairs: Pairs, X: np.ndarray, count: int, random: np.ndarray,
         gather: Callable[[float], list[float]], fetch: Fetch, slow: Callable[[np.ndarray], None],
     ):  # fmt: skip
-        """law (1,): LAW record; volume m3: of each point; X (N,3) m; count: number of sides, including those of other ranks; random
-        (n,3): random motion of the points; gather(number): the numbers of all ranks with points; fetch(points, sides): get rows of
-        points (N,k), and of sides (count,3) if given, from other ranks; slow(forces (n,3) N): `inertia.CellInertia.slow`."""
+        """law (1,): LAW record; volume (m3): volume of each point; X (N,3) m; count: number of sides, including those of other ranks;
+        random (n,3): random motion of the points; gather(number): the numbers of all ranks with points; fetch(points, sides): get
+        rows of points (N,k), and of sides (count,3) if given, from other ranks; slow(forces (n,3) N): `inertia.CellInertia.slow`."""
         self._slow = slow
         self._law, self._volume, self._sides, self._pairs, self._X = law, volume, sides, pairs, X
         self._random = random
@@ -123,7 +124,7 @@ class PointFrequency:
         self._f, self._stiffness = np.zeros((n, 3)), np.zeros(n)
 
     def longest_step(self, F: np.ndarray, J: np.ndarray, mode: np.ndarray) -> float:
-        """The step in s at which the points of all ranks become unstable, NaN if the frequency is not finite.
+        """The time step (s) at which the points of all ranks become unstable; NaN if the frequency is not finite.
 
         F (N,9), J (n,): deformation gradients and volume ratios; mode (n,3) s: vector of the last chunk, with its step as norm, zero at
         the start; updated. While the step decreases, the returned step is extrapolated from the last two to the end of the next chunk.

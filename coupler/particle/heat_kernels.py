@@ -20,8 +20,8 @@ LEAST_J = 0.1  # volume ratio: a smaller one is an error of the gradient
 
 
 class Operators(NamedTuple):
-    """The matrices G (x, y, z, 1/m) and R of `heat.PointConduction`, or their transposes, in compressed rows: row i has the weights
-    weights[start[i]:start[i + 1]] (m,4) for the points columns[start[i]:start[i + 1]]."""
+    """The matrices G (components x, y, z, in 1/m) and R of `heat.PointConduction`, or their transposes, in compressed rows. Row i has
+    the weights weights[start[i]:start[i + 1]] (m,4) for the points columns[start[i]:start[i + 1]]."""
 
     start: Ints
     columns: Ints
@@ -29,8 +29,8 @@ class Operators(NamedTuple):
 
 
 class Conduction(NamedTuple):
-    """Arrays of n points. volume m3; reach (n,4): sums of the absolute weights in each row of G and R; D (n,6) m3: V J F^-1 F^-T;
-    kD (n,6) W m/K; c W/K; capacity J/K; q (n,4): kD G T and c R T; T K; gained J: heat."""
+    """Arrays of n points. volume (m3); reach (n,4): sums of the absolute weights in each row of G and R; D (n,6) m3: V J F^-1 F^-T;
+    kD (n,6) W m/K; c (W/K); capacity (J/K); q (n,4): kD G T and c R T; T (K); gained (J): heat."""
 
     volume: Floats
     reach: Floats
@@ -72,7 +72,7 @@ def fit(team: Ints, n: int, spacing: float, X: Floats, G: Operators, reach: Floa
 
 @njit(cache=True, nogil=True, inline="always")
 def _applied(a: Floats | Symmetric, g0: float, g1: float, g2: float) -> Vector:
-    """Product of a symmetric tensor a (6,) and a vector."""
+    """Product of a symmetric tensor a (6,) and a vector (g0, g1, g2)."""
     return a[0] * g0 + a[5] * g1 + a[4] * g2, a[5] * g0 + a[1] * g1 + a[3] * g2, a[4] * g0 + a[3] * g1 + a[2] * g2
 
 
@@ -100,7 +100,8 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 
 @njit(cache=True, nogil=True)
 def weigh(lo: int, hi: int, laws: Laws, spacing: float, h: Conduction) -> None:
-    """Write kD, c and capacity at the temperatures T; write the largest flow for differences of 1 K to q."""
+    """Write the conduction tensors kD, c and capacity at the temperatures T. Write also the largest flow for temperature differences
+    of 1 K to q."""
     law = laws[0]
     for i in range(lo, hi):
         h.capacity[i] = law.rho * h.volume[i] * heat_capacity(law, h.T[i])
@@ -156,7 +157,8 @@ def collect(lo: int, hi: int, dt: float, transposed: Operators, h: Conduction) -
 def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
-    """`pull_back`, `weigh` and `fastest` for n points at x (n,3) m, in all threads. rates (PARTS,) 1/s: result of `fastest` by part."""
+    """Do `pull_back`, `weigh` and `fastest` for n points at x (n,3) m, in all threads. rates (PARTS,) 1/s: result of `fastest` for
+    each part."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)
         weigh(lo, hi, laws, spacing, h)
@@ -166,7 +168,7 @@ def prepare(
 
 @njit(cache=True, nogil=True)
 def conduct(team: Ints, n: int, dt: float, G: Operators, transposed: Operators, h: Conduction) -> None:
-    """`flow_of_points` and `collect` for n points, in all threads."""
+    """Do `flow_of_points` and `collect` for n points, in all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         flow_of_points(lo, hi, G, h)
     for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):

@@ -1,4 +1,4 @@
-"""Inertia of the cells that limit the time step: a selective mass scaling that changes only one mode of each cell.
+"""Added inertia for the cells that limit the time step: selective mass scaling that changes only one mode of each cell.
 
 The cell of a crushed point has the fastest mode of the particle: an oscillation of its volume, with a frequency far above those of
 interest. Such a cell gets an inertia c against the rate of its volume,
@@ -50,15 +50,15 @@ def inertia_of_cells(
 
 
 class CellInertia:
-    """The scaled cells of the points of all ranks. `weigh` chooses them for a chunk of steps, `slow` changes the forces of each
-    step."""
+    """The cells with an added inertia, of the points of all ranks. `weigh` chooses them for a chunk of steps, `slow` changes the
+    forces of each step."""
 
     def __init__(
         self, law: Laws, volume: float, step: float, sides: Sides, numbers: np.ndarray, total: int, gather: Callable[..., list[Any]],
     ):  # fmt: skip
-        """law (1,): LAW record; volume m3: of each point; step s: limit 2 / omega that all cells shall reach; numbers (N,): numbers
-        of the points of this rank, the n own ones first, in the whole particle of `total` points; gather(values): values of all
-        ranks."""
+        """law (1,): LAW record; volume (m3): volume of each point; step (s): limit 2 / omega that all cells shall reach; numbers
+        (N,): numbers of the points of this rank, the n own ones first, in the whole particle of `total` points; gather(values):
+        values of all ranks."""
         self._law, self._mass, self._scale = law, volume * float(law[0]["rho"]), STIFFER * volume * (0.5 * step) ** 2
         self._sides, self._numbers, self._total, self._gather = sides, numbers, total, gather
         n = len(sides.first) - 1

@@ -1,4 +1,5 @@
-"""The constitutive law of `coupler.physics.constitutive` inside MACHDYN, through two numbers of each point: yield stress and energy.
+"""The constitutive law of `coupler.physics.constitutive` inside MACHDYN. It acts through two numbers of each point: yield stress and
+energy.
 
 MACHDYN's own Johnson-Cook law has no thermal softening and averages the strain rate over some 500 ns. Its linear plastic strength
 model with zero offset returns the deviator to H eff_plastic_strain: with sigma_y / H in eff_plastic_strain before a step, the yield
@@ -23,7 +24,7 @@ LEAST_POINTS = 1000  # in a range of a loop that threads share
 
 @njit(cache=True, nogil=True, inline="always")
 def _machdyn_hugoniot(law: Law, J: float) -> tuple[float, float]:
-    """Pressure of MACHDYN's shock equation of state at zero energy (Hugoniot), and its derivative by J."""
+    """Pressure of MACHDYN's shock equation of state at zero energy (the Hugoniot), and its derivative with respect to J."""
     eta = 1.0 - J
     w = 1.0 - law.s * eta
     return law.K * eta / (w * w), -law.K * (1.0 + law.s * eta) / (w * w * w)
@@ -49,8 +50,8 @@ def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
 
 
 class Machdyn(NamedTuple):
-    """Arrays of MACHDYN for n points. mass kg; eps, e (J) and de (W): plastic strain, energy and its rate, which prescribe the next
-    step; set_e J/kg: energy prescribed for this step."""
+    """Arrays of MACHDYN for n points. mass (kg); eps, e (J) and de (W): plastic strain, energy and its rate, which prescribe the next
+    step; set_e (J/kg): energy prescribed for this step."""
 
     mass: Floats
     eps: Floats
@@ -63,7 +64,7 @@ class Machdyn(NamedTuple):
 def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: State, sums: Floats) -> None:
     """Read the result of MACHDYN's step, update the state of every point, and prescribe the next step.
 
-    laws: one LAW record; dt s; H Pa; volume (n,) m3; a.stress: stress of LAMMPS, only read; sums (2,) J grows by the plastic work
+    laws: one LAW record; dt (s); H (Pa); volume (n,) m3; a.stress: stress of LAMMPS, only read; sums (2,) J grows by the plastic work
     and by the part of its heat that makes pressure.
     """
     law = laws[0]
@@ -115,8 +116,8 @@ def add_up(
     """Write sums over points, part by part, to sums (PARTS,6): kinetic energy and stored energy, J; momentum, kg m/s; square of the
     largest speed, m2/s2.
 
-    Stored energy: of deviators, J V s:s / 4G, and of the volume, including heat. Kinetic energy: sum of m v(n-1/2).v(n+1/2) / 2,
-    whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
+    Stored energy: energy of deviators, J V s:s / 4G, and of the volume, including heat. Kinetic energy: sum of m v(n-1/2).v(n+1/2) /
+    2, whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
     """
     law = laws[0]
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):

@@ -52,7 +52,8 @@ SWITCHES = (
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
-    """The LAW record (1,) of a material. on: effects by name, default on.
+    """The LAW record (1,) of a material: its constants as arrays for the kernels. on: effects by name; effects that are not named are
+    on.
 
     rate_filter: time constant of the average of the plastic strain rate for the strength law, s; 0: no average. Without mie_gruneisen
     the Hugoniot has s = 0 and Gamma0 = 0: p = K (1 - J). Without thermal expansion heat is not part of the energy in the equation of
@@ -169,7 +170,7 @@ def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def norm(gradient: Floats, i: int) -> float:
-    """Length of the vector gradient[i], gradient (n,3)."""
+    """Length of the vector in row i of gradient (n,3)."""
     return sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
 
 
@@ -310,5 +311,5 @@ def von_mises(stress: NDArray) -> NDArray[np.float64]:
 
 
 def sound_speed(rho: float, K: float, G: float) -> float:
-    """Longitudinal wave speed, m/s."""
+    """Speed of longitudinal elastic waves, m/s. rho: density, kg/m3; K, G: bulk and shear modulus, Pa."""
     return float(np.sqrt((K + 4.0 * G / 3.0) / rho))

@@ -1,4 +1,5 @@
-"""Operations of both domains on positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
+"""Operations on positions, velocities and forces for both domains. Arrays have the shape (n,3); a kernel works on rows [lo, hi). SI
+units (numba)."""
 
 from ..compiling import njit
 from ..core.arrays import Bools, Floats, Ints, Vector
@@ -9,7 +10,7 @@ LEAST = 2000  # rows in a range of a shared loop, at least
 
 @njit(cache=True, nogil=True)
 def kick(lo: int, hi: int, dt: float, f: Floats, inv_mass: Floats, v: Floats) -> None:
-    """v += dt f / m; fixed nodes have inv_mass 0."""
+    """Accelerate: v += dt f / m; fixed nodes have inv_mass 0."""
     for a in range(lo, hi):
         w = dt * inv_mass[a]
         v[a, 0] += w * f[a, 0]
@@ -19,7 +20,7 @@ def kick(lo: int, hi: int, dt: float, f: Floats, inv_mass: Floats, v: Floats) ->
 
 @njit(cache=True, nogil=True)
 def drift(lo: int, hi: int, dt: float, v: Floats, x: Floats) -> None:
-    """x += dt v."""
+    """Move: x += dt v."""
     for a in range(lo, hi):
         x[a, 0] += dt * v[a, 0]
         x[a, 1] += dt * v[a, 1]
@@ -38,7 +39,8 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 @njit(cache=True, nogil=True)
 def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, out: Floats, work: Floats) -> None:
-    """`work_of` all rows, by parts, in work (PARTS,) J. Then f is copied to f_old, more to out, and more is set to zero."""
+    """Compute `work_of` all rows, for each part, in work (PARTS,) J. Then f is copied to f_old, `more` to out, and `more` is set to
+    zero."""
     for lo, hi, part in ranges(team, 0, len(f_old), LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
@@ -50,7 +52,7 @@ def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Float
 def add_up(
     team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, total: Floats, work: Floats
 ) -> None:
-    """total = f + more of the first n rows, and their `work_of`, by parts, in work (PARTS,) J."""
+    """Compute total = f + more for the first n rows and their `work_of`, for each part, in work (PARTS,) J."""
     for lo, hi, part in ranges(team, 0, n, LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
@@ -60,7 +62,7 @@ def add_up(
 
 @njit(cache=True, nogil=True)
 def sum_over(lo: int, hi: int, f: Floats) -> Vector:
-    """Sum of the rows [lo, hi) of f."""
+    """Sum of the rows lo to hi - 1 of f."""
     x = y = z = 0.0
     for a in range(lo, hi):
         x += f[a, 0]
@@ -71,7 +73,7 @@ def sum_over(lo: int, hi: int, f: Floats) -> Vector:
 
 @njit(cache=True, nogil=True)
 def sum_at(rows: Ints, f: Floats) -> Vector:
-    """Sum of the rows `rows` of f."""
+    """Sum of those rows of f that the array `rows` lists."""
     x = y = z = 0.0
     for q in range(len(rows)):
         a = rows[q]
@@ -104,8 +106,8 @@ def damp(
 ) -> None:
     """Velocity and momentum of the free rows after a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and M v' by the same equation.
 
-    Stable up to the step without damping. damping: a, over the critical damping of the step. along: the part of M^-1 f, m/s2, that is
-    added to v here; `kick` adds the other part, from the masses of the nodes.
+    The scheme is stable up to the step without damping. damping: a, relative to the critical damping of the step. along: the part of
+    M^-1 f, m/s2, that is added to v here; `kick` adds the other part, from the masses of the nodes.
     """
     keep, add = (1.0 - damping) / (1.0 + damping), dt / (1.0 + damping)
     for a in range(lo, hi):
@@ -119,8 +121,8 @@ def damp(
 def moving(
     team: Ints, free: Bools, mass: Floats, f: Floats, along: Floats, momentum: Floats, v: Floats, before: Floats, sums: Floats
 ) -> None:  # fmt: skip
-    """Sums over the free rows, by parts, in sums (PARTS,3): momentum . v (J), -v . (f - before) (W) and f . M^-1 f (N m/s2). M^-1 f is
-    f over the masses of the nodes plus `along` (m/s2). Then f is copied to `before`."""
+    """Sums over the free rows, by parts, in sums (PARTS,3): momentum . v (J), -v . (f - before) (W) and f . M^-1 f (N m/s2). M^-1 f
+    is f divided by the masses of the nodes, plus `along` (m/s2). Then f is copied to `before`."""
     for lo, hi, part in ranges(team, 0, len(free), LEAST):
         twice = power = unbalanced = 0.0
         for a in range(lo, hi):

@@ -1,4 +1,4 @@
-"""Strength laws: flow stress of a metal. Each law is a function of a record of its numbers; LAWS describes the numbers.
+"""Strength laws: the flow stress of a metal. Each law is a function of a record of constants; LAWS describes the constants.
 
 The functions are plain Python, so that a scene is checked without a compiler. `physics.constitutive` compiles the same functions (njit)
 into the kernels of both domains (`yield_stress`). Every law is zero at the melting point and above: a liquid has no strength.
@@ -21,7 +21,7 @@ STRAIN_OF_INDENT = 0.08  # strain under a Vickers indenter for this ratio, same 
 
 
 class Numbers(Protocol):
-    """A record of a law, as kernels read it: each number is a field."""
+    """The constants of a law, as kernels read them: each constant is a field."""
 
     def __getattr__(self, name: str, /) -> float: ...
 
@@ -115,7 +115,8 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a law. unit: "" for a plain number; low, high: limits in SI units; default: None if the number is required."""
+    """A constant of a law. unit: "" for a number without unit; low, high: limits in SI units; default: None if the constant is
+    required."""
 
     unit: str
     low: float
@@ -126,7 +127,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Law:
-    """A strength law. function(record, eps_p, rate, T); about: description; parameters: by name."""
+    """A strength law. function(record, eps_p, rate, T): the flow stress; about: description; parameters: its constants by name."""
 
     function: Callable[[Numbers, float, float, float], float]
     about: str
@@ -138,19 +139,19 @@ _LOWEST_RATE = Parameter("1/s", 1e-6, 1e6, 1e-3, "lower bound of the rate in the
 LAWS: dict[str, Law] = {
     "johnson_cook": Law(
         johnson_cook,
-        "Johnson & Cook (1983); with C_high bilinear in the logarithm of the rate",
+        "Johnson & Cook (1983); with C_high the rate term is bilinear in ln(rate)",
         {
             "A": Parameter("MPa", 1e5, 2e10, None, "yield stress at eps_dot_0 and T_ref"),
             "B": Parameter("MPa", 0.0, 1e11, None, "hardening"),
             "n": Parameter("", 0.01, 2.0, None, "exponent of the strain"),
-            "C": Parameter("", 0.0, 1.0, None, "factor of ln(rate / eps_dot_0)"),
+            "C": Parameter("", 0.0, 1.0, None, "factor of the term ln(rate / eps_dot_0)"),
             "m": Parameter("", 0.01, 10.0, None, "exponent of the temperature"),
-            "eps_dot_0": Parameter("1/s", 1e-6, 1e6, None, "reference rate: no rate hardening below"),
-            "T_ref": Parameter("K", 1.0, 2000.0, None, "no softening below"),
+            "eps_dot_0": Parameter("1/s", 1e-6, 1e6, None, "reference rate; no rate hardening below this rate"),
+            "T_ref": Parameter("K", 1.0, 2000.0, None, "reference temperature; no thermal softening below it"),
             "C_high": Parameter(
-                "", 0.0, 2.0, 0.0, "factor of ln(rate / eps_dot_high) beyond eps_dot_high; 0: one regime"
+                "", 0.0, 2.0, 0.0, "factor of ln(rate / eps_dot_high) above eps_dot_high; 0: C at all rates"
             ),
-            "eps_dot_high": Parameter("1/s", 1e-3, 1e9, 1e3, "rate at which the second regime begins"),
+            "eps_dot_high": Parameter("1/s", 1e-3, 1e9, 1e3, "strain rate above which C_high applies"),
         },
     ),
     "zerilli_armstrong": Law(
@@ -161,7 +162,7 @@ LAWS: dict[str, Law] = {
             "C_1": Parameter("MPa", 0.0, 1e11, 0.0, "thermal stress (bcc)"),
             "C_2": Parameter("MPa", 0.0, 1e11, 0.0, "thermal hardening (fcc)"),
             "C_3": Parameter("1/K", 0.0, 0.1, None, "softening"),
-            "C_4": Parameter("1/K", 0.0, 0.01, None, "decrease of the softening per ln rate"),
+            "C_4": Parameter("1/K", 0.0, 0.01, None, "decrease of the thermal softening per ln(rate)"),
             "C_5": Parameter("MPa", 0.0, 1e11, 0.0, "athermal hardening (bcc)"),
             "n": Parameter("", 0.01, 2.0, 0.5, "exponent of the strain"),
             "eps_dot_0": _LOWEST_RATE,
@@ -177,7 +178,7 @@ LAWS: dict[str, Law] = {
             "beta": Parameter("", 0.0, 1e5, None, "hardening"),
             "n": Parameter("", 0.01, 2.0, None, "exponent of the hardening"),
             "eps_i": Parameter("", 0.0, 5.0, 0.0, "plastic strain of the metal as received"),
-            "G_T": Parameter("1/K", 0.0, 0.01, None, "softening, as of the shear modulus"),
+            "G_T": Parameter("1/K", 0.0, 0.01, None, "relative decrease per kelvin, as of the shear modulus"),
             "eps_dot_0": _LOWEST_RATE,
             "T_ref": _T_REF,
         },
@@ -186,15 +187,15 @@ LAWS: dict[str, Law] = {
         preston_tonks_wallace,
         "Preston, Tonks & Wallace (2003): thermal activation and phonon drag",
         {
-            "theta": Parameter("", 0.0, 1.0, None, "initial hardening rate over 2 G"),
-            "p": Parameter("", 0.0, 20.0, None, "0: Voce; larger: slower saturation"),
-            "s_0": Parameter("", 1e-5, 1.0, None, "saturation stress at 0 K over 2 G"),
-            "s_inf": Parameter("", 1e-6, 1.0, None, "saturation stress near melting over 2 G"),
+            "theta": Parameter("", 0.0, 1.0, None, "initial hardening rate / 2 G"),
+            "p": Parameter("", 0.0, 20.0, None, "0: Voce hardening; larger values: slower saturation"),
+            "s_0": Parameter("", 1e-5, 1.0, None, "saturation stress at 0 K / 2 G"),
+            "s_inf": Parameter("", 1e-6, 1.0, None, "saturation stress near the melting point / 2 G"),
             "kappa": Parameter("", 0.0, 10.0, None, "thermal activation"),
-            "gamma": Parameter("", 1e-12, 1.0, None, "rate of activation over xi"),
-            "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K over 2 G"),
-            "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near melting over 2 G"),
-            "y_1": Parameter("", 1e-5, 1.0, None, "yield stress between the regimes"),
+            "gamma": Parameter("", 1e-12, 1.0, None, "rate of thermal activation / xi"),
+            "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K / 2 G"),
+            "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near the melting point / 2 G"),
+            "y_1": Parameter("", 1e-5, 1.0, None, "yield stress between thermal activation and phonon drag"),
             "y_2": Parameter("", 0.0, 2.0, None, "exponent of the rate in y_1"),
             "beta": Parameter("", 0.0, 1.0, None, "exponent of phonon drag"),
             "G_0": Parameter("GPa", 1e8, 1e12, None, "shear modulus at 0 K"),
@@ -245,7 +246,7 @@ class Fitted:
                 pair = value[key]
                 if not isinstance(pair, list) or len(pair) not in (1, 2):
                     raise ValueError(
-                        f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or the first alone'
+                        f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or only the first of them'
                     )
                 first, last = [*(library.read_number(end, unit, low, high) for end in pair), inf][:2]
                 if first > last:
@@ -257,8 +258,8 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Strength:
-    """A set of parameters of a strength law. numbers: SI values by name; set: its name in the library, "" for a set of a scene; fitted:
-    range of validity."""
+    """A set of constants of a strength law. numbers: SI values by name; set: name of the set in the library, "" for a set given in a
+    scene; fitted: range of validity."""
 
     law: str
     numbers: dict[str, float] = field(hash=False)
@@ -267,7 +268,7 @@ class Strength:
     source: str = ""
 
     def __getitem__(self, name: str) -> float:
-        """A parameter, SI."""
+        """A constant of the law by its name, SI."""
         return self.numbers[name]
 
     @property
@@ -276,7 +277,8 @@ class Strength:
         return f"{self.law} ({self.set})" if self.set else self.law
 
     def fields(self, T_m: float, rho: float, softens: bool = True, rate_hardens: bool = True) -> dict[str, float]:
-        """The numbers of a LAW record, by field. T_m: melting point, K; rho: kg/m3; softens, rate_hardens: whether the effect is on."""
+        """The constants as fields of a LAW record. T_m: melting point, K; rho: density, kg/m3; softens, rate_hardens: whether the
+        effect is on."""
         values = dict.fromkeys((*FIELDS, *LAWS), 0.0) | self.numbers
         values |= {self.law: 1.0, "T_m": T_m, "softening": float(softens)}
         values["rate_limit"] = 1e30 if rate_hardens else values["eps_dot_0"]
@@ -289,7 +291,7 @@ class Strength:
         return values
 
     def flow_stress(self, eps_p: float, rate: float, T: float, T_m: float, rho: float) -> float:
-        """Flow stress, Pa. rate: 1/s, T: K; T_m, rho: of the metal."""
+        """Flow stress, Pa. rate: strain rate, 1/s; T: temperature, K; T_m, rho: melting point and density of the metal."""
         return LAWS[self.law].function(cast(Numbers, SimpleNamespace(**self.fields(T_m, rho))), eps_p, rate, T)
 
 
