@@ -6,11 +6,12 @@ in the same run. Rows of other versions stay in the table.
 """
 
 import time
+import timeit
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from pages import machine, options, reference, single_impact, spacing_of, study_table
+from pages import impact_tables, machine, options, reference, spacing_of, study
+from serial_share import Spent
 
 from coupler.core.threads import threads_of
 from coupler.fe import mesh
@@ -34,13 +35,7 @@ clock = time.process_time
 
 def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[], float] = clock) -> float:
     """Seconds of the fastest of several calls, the first (compilation) left out: other work on the machine only ever adds."""
-    work()
-    times = []
-    for _ in range(repeats):
-        start = now()
-        work()
-        times.append(now() - start)
-    return min(times)
+    return min(timeit.repeat(work, number=1, repeat=repeats + 1, timer=now)[1:])
 
 
 def block(plastic: bool) -> Target:
@@ -132,35 +127,25 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
 
 def points(rows: list[tuple[str, float, str]], count: int) -> None:
     """Microseconds per point and step of a real impact, and per element and step of its target."""
-    domains = build_domains(plan(Scene.from_text(single_impact("Ni", 25.0, 500.0, spacing=spacing_of(count)), "bench")))
+    scene = Scene.from_dict(impact_tables("Ni", 25.0, 500.0, spacing=spacing_of(count)), "bench")
+    domains = build_domains(plan(scene))
     p = domains.particle
     impact = Impact(domains)
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
         advance_chunk(impact)
 
-    spent = 0.0  # s, in the target
-
-    def timed(original: Callable[..., Any]) -> Callable[..., Any]:
-        def wrapper(*args: Any, **options: Any) -> Any:
-            nonlocal spent
-            start = clock()
-            value = original(*args, **options)
-            spent += clock() - start
-            return value
-
-        return wrapper
-
+    spent = Spent()
     for name in ("advance", "finish", "stable_dt"):
-        setattr(impact.target, name, timed(getattr(impact.target, name)))
+        setattr(impact.target, name, spent.timed("target", getattr(impact.target, name)))
 
     def stretch() -> tuple[float, float]:
         """Seconds per step of the target and of all else, over STEPS steps or a little more."""
-        nonlocal spent
-        spent, before, start = 0.0, p.steps, clock()
+        spent.seconds.clear()
+        before, start = p.steps, clock()
         while p.steps < before + STEPS:
             advance_chunk(impact)
-        whole, steps = clock() - start, p.steps - before
-        return spent / steps, (whole - spent) / steps
+        whole, steps, target = clock() - start, p.steps - before, spent.seconds["target"]
+        return target / steps, (whole - target) / steps
 
     stretch()
     target, others = np.median([stretch() for _ in range(2 * REPEATS)], axis=0)
@@ -179,7 +164,7 @@ def main() -> None:
         engines(rows, count)
     points(rows, a.points)
     loop = reference(clock) * 1e6
-    table = study_table("bench", ("part", "value", "unit", "over_loop"), ("part", "version"), "make bench")
+    table = study("bench", ("part", "version"), "make bench")
     for name, value, unit in rows:
         over = f"{value / loop:.4g}" if unit.startswith("us") else ""
         print(f"{name:45s} {value:10.4g} {unit}")

@@ -12,13 +12,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pages import TABLES, machine, options, single_impact, write_table
+from pages import TABLES, impact_tables, machine, options, write_table
 
-from coupler import Result
+from coupler import Result, Scene
 
 WAYS = {"one process, one thread": 1, "two ranks": 2, "three ranks": 3}
-END = '[end]\ntime = "22 ns"\n'
-EQUAL = single_impact("Ni", 25.0, 500.0, spacing=2.0, more='element_size = "2.4 um"\ngrowth = 0.12\n')
+EQUAL = impact_tables("Ni", 25.0, 500.0, spacing=2.0)
+EQUAL["resolution"] |= {"element_size": "2.4 um", "growth": 0.12}
 PROGRAM = """
 import sys
 from coupler import run
@@ -31,37 +31,37 @@ for path in (warm, scene):
 def main() -> None:
     """Measure, print, record."""
     a = options(__doc__, repeats=3)
-    standard = (Path(__file__).parent / "single_ni.toml").read_text()
-    scenes = {"single_ni": standard.replace('[end]\nat = "rest"\n', END), "equal loads": EQUAL + END}
-    rows = [row for name, text in scenes.items() for row in measured(name, text, a.repeats)]
+    standard = Scene.load(Path(__file__).parent / "single_ni.toml")
+    scenes = {"single_ni": standard, "equal loads": Scene.from_dict(EQUAL)}
+    rows = [row for name, scene in scenes.items() for row in measured(name, scene, a.repeats)]
     write_table(TABLES / "ranks.csv", rows, f"remake: make bench; {machine()}")
 
 
-def measured(scene: str, text: str, repeats: int) -> list[dict[str, object]]:
+def measured(name: str, scene: Scene, repeats: int) -> list[dict[str, object]]:
     """A row of the table for each way to run the scene."""
     times: dict[str, list[float]] = {name: [] for name in WAYS}
     idle: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as place:
         path, warm = Path(place) / "scene.toml", Path(place) / "warm.toml"
-        path.write_text(text)
-        warm.write_text(text.replace(END, '[end]\ntime = "3 ns"\n'))
+        for file, time in ((path, "22 ns"), (warm, "3 ns")):
+            file.write_text(scene.with_(end={"at": None, "time": time}).to_toml())
         for repeat in range(repeats):
-            for name, ranks in WAYS.items():
+            for way, ranks in WAYS.items():
                 out = Path(place) / f"{ranks}"
                 program = [sys.executable, "-c", PROGRAM, str(warm), str(path), str(out)]
                 launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(ranks)] if ranks > 1 else []
                 subprocess.run([*launch, *program], check=True)
                 result = Result(out)
-                times[name].append(result.wall_loop_s)
-                idle[name] = result.idle_share
-                print(f"{scene}, round {repeat + 1}: {name:26s} {times[name][-1]:6.2f} s", flush=True)
-    medians = {name: statistics.median(values) for name, values in times.items()}
+                times[way].append(result.wall_loop_s)
+                idle[way] = result.idle_share
+                print(f"{name}, round {repeat + 1}: {way:26s} {times[way][-1]:6.2f} s", flush=True)
+    medians = {way: statistics.median(values) for way, values in times.items()}
     first = medians["one process, one thread"]
     rows = []
-    for name, seconds in medians.items():
-        waiting = " ".join(f"{share:.2f}" for share in idle[name])
-        print(f"{scene}: {name:26s} {seconds:6.2f} s  {seconds / first:.2f} of one process; waiting {waiting or '-'}")
-        values = scene, name, f"{seconds:.2f}", f"{seconds / first:.2f}", waiting
+    for way, seconds in medians.items():
+        waiting = " ".join(f"{share:.2f}" for share in idle[way])
+        print(f"{name}: {way:26s} {seconds:6.2f} s  {seconds / first:.2f} of one process; waiting {waiting or '-'}")
+        values = name, way, f"{seconds:.2f}", f"{seconds / first:.2f}", waiting
         rows.append(dict(zip(("scene", "way", "seconds", "of one process", "waiting, by rank"), values, strict=True)))
     return rows
 

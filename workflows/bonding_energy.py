@@ -2,9 +2,12 @@
 
 Runs of workflows/critical_ni.toml, critical_cu.toml and critical_ni_rate.toml, kept in runs/bonding_energy (--runs). Each is a row of
 docs/tables/bonding_energy.csv that is not computed again; critical_velocity.csv has the brackets of their verdicts, bonding_scatter.csv
-the margins of several placements of points and elements. Then the figure and the table of the page on bonding; --docs makes only these.
+the margins of several placements of points and elements. contact_springs.csv has the energies of contact springs and rebound over the
+stiffness of the springs, without bonds, bond_profile.csv the strength of bonds over the radius (critical_al.toml). Then the figure
+and the table of the page on bonding; --docs makes only these.
 """
 
+import itertools
 import math
 import tomllib
 from collections.abc import Iterator
@@ -13,20 +16,32 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from pages import EVIDENCE, ROOT, TABLES, fill, markdown, number, options, spacing_of, study_table, write_parts
+from pages import (
+    EVIDENCE,
+    ROOT,
+    TABLES,
+    computed,
+    markdown,
+    measurements,
+    number,
+    options,
+    spacing_of,
+    study,
+    write_parts,
+)
 
 from coupler import Scene
 from coupler.files.result import Result
+from coupler.impact.exchange import Impact
+from coupler.impact.touching import softer_strength
 from coupler.physics.materials import material
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.report.picture import blank, save
-from coupler.studies.critical import bracket, point_name, rows_at
+from coupler.studies.critical import at_velocity, bracket, point_name, rows_at
 from coupler.studies.table import Row, write_rows
 
 KEY = ("metal", "diameter_um", "temperature_K", "film", "strength", "taylor_alpha", "preset", "velocity_m_s")
-COLUMNS = (*KEY, "verdict", "restitution", "bond_J_m2", "rebound_J_m2")
 PLACED_KEY = ("metal", "diameter_um", "preset", "velocity_m_s", "placement")
-PLACED = (*PLACED_KEY, "verdict", "restitution", "margin_J_m2", "torn_J_m2")
 REMAKE = "python workflows/bonding_energy.py"
 ABOUT = f"""remake: {REMAKE}
 film: factor on the strength of the oxide film (docs/theory/bonds.md)
@@ -36,38 +51,16 @@ NI, CU, RATE = "Steinberg_1996", "Preston_2003", "critical_ni_rate"
 FILES = {"Ni": "critical_ni", "OFHC_Cu": "critical_cu", "Al1100": "critical_al"}
 ALPHA = "0.35"  # Taylor's coefficient of the workflows (docs/theory/material.md)
 FINER, FINER_POINTS = "half of fine", 128_000  # half the spacing of `fine`
-# metal, diameter (um), temperature (K), film, strength set, taylor_alpha, preset: velocities (m/s)
-CASES = {
-    ("Ni", "10", "300", "1", NI, ALPHA, "fine"): (731, 698, 665, 632, 598, 532),
-    ("Ni", "5", "300", "1", NI, ALPHA, "fine"): (698, 665), ("Ni", "40", "300", "1", NI, ALPHA, "fine"): (798,),
-    ("OFHC_Cu", "14", "300", "1", CU, ALPHA, "fine"): (610, 580, 549, 488),
-    ("OFHC_Cu", "5", "300", "1", CU, ALPHA, "fine"): (640, 610), ("OFHC_Cu", "40", "300", "1", CU, ALPHA, "fine"): (580, 549),
-    ("OFHC_Cu", "14", "300", "1", CU, ALPHA, "standard"): (610, 580),
-    ("Ni", "10", "300", "1", RATE, ALPHA, "fine"): (764, 731), ("Ni", "5", "300", "1", RATE, ALPHA, "fine"): (798, 764),
-    ("Ni", "40", "300", "1", RATE, ALPHA, "fine"): (731, 698),
-    ("Ni", "10", "300", "1", NI, "0", "fine"): (598, 565, 532), ("OFHC_Cu", "14", "300", "1", CU, "0", "fine"): (580, 549, 488),
-    ("Ni", "10", "300", "1", NI, "0", "standard"): (598, 565), ("OFHC_Cu", "14", "300", "1", CU, "0", "standard"): (610, 580),
-    ("Ni", "10", "300", "0.36", NI, "0", "standard"): (665,), ("Ni", "10", "300", "1.94", NI, "0", "standard"): (665,),
-    ("OFHC_Cu", "14", "300", "0.4", CU, "0", "standard"): (610,), ("OFHC_Cu", "14", "300", "2", CU, "0", "standard"): (610,),
-    ("Ni", "10", "900", "1", NI, "0", "standard"): (532,), ("Ni", "10", "300", "1", "Johnson_1983", "0", "standard"): (532, 480),
-    ("OFHC_Cu", "14", "300", "1", "Johnson_1983", "0", "standard"): (488, 400),
-    ("OFHC_Cu", "14", "300", "1", "Zerilli_1987", "0", "standard"): (400,),
-    ("OFHC_Cu", "14", "300", "1", CU, ALPHA, FINER): (610, 549), ("Ni", "10", "300", "1", NI, ALPHA, FINER): (731, 665),
-}  # fmt: skip
-# metal, diameter (um), preset: velocities (m/s), without gradients, PLACEMENTS of each (`coupler.studies.critical.at_velocity`)
-PLACED_CASES = {
-    ("Ni", "10", "standard"): (665, 598, 565, 532), ("OFHC_Cu", "14", "standard"): (610, 580, 549, 488),
-    ("Ni", "10", "draft"): (665, 831), ("OFHC_Cu", "14", "draft"): (610, 488),
-}  # fmt: skip
+# columns of the key: velocities (m/s); the second at several placements (`coupler.studies.critical.at_velocity`), without gradients
+CASES, PLACED_CASES = (
+    {tuple(name.split(", ")): velocities for name, velocities in measurements(section, "scenes").items()}
+    for section in ("critical", "placements")
+)
 PLACEMENTS = 3
-# Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
-MEASURED = {
-    "Ni": ((251, 0.129), (310, 0.101), (415, 0.086), (473, 0.098), (512, 0.076), (563, 0.068), (584, 0.045), (614, 0.021),
-           (649, 0.020)),
-    "OFHC_Cu": ((129, 0.134), (220, 0.090), (315, 0.112), (385, 0.091), (459, 0.065), (489, 0.052), (530, 0.037)),
-}  # fmt: skip
-# m/s, of particles of a diameter (um) at 300 K, the same source
-MEASURED_CRITICAL = {("Ni", "10"): 660.0, ("OFHC_Cu", "14"): 568.0}
+VELOCITY_NI = 665.0  # m/s, of the springs
+SIZE_AL, VELOCITY_AL = 22.0, 1100.0  # um and m/s, of the profile
+ZONES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # of the particle's radius, at the greatest deformation
+MEASURED = measurements("rebound")  # restitution and critical velocity, of particles of `diameter_um` at 300 K
 
 
 def scene_of(
@@ -75,26 +68,25 @@ def scene_of(
     preset: str = "draft",
 ) -> Scene:  # fmt: skip
     """A scene of FILES with these values (`CASES`), its target in the same ratio to the particle. strength: "" for that of the file."""
-    name = RATE if strength == RATE else FILES[metal]
-    data = tomllib.loads((ROOT / "workflows" / f"{name}.toml").read_text())
-    data["preset"] = "fine" if preset == FINER else preset
-    if preset == FINER:
-        spacing = spacing_of(FINER_POINTS, float(diameter))
-        lengths = {"spacing": spacing, "element_size": ELEMENT_SIZE_OVER_SPACING * spacing}
-        data["resolution"] = {key: f"{length:.4g} um" for key, length in lengths.items()}
-    own = float(data["particle"]["diameter"].split()[0])
-    for table, keys in (("particle", ("diameter",)), ("substrate", ("diameter", "height"))):
-        for key in keys:
-            data[table][key] = f"{float(data[table][key].split()[0]) * float(diameter) / own:g} um"
-    data["particle"]["temperature"] = f"{temperature} K"
-    changes = data.setdefault("materials", {}).setdefault(metal, {})
-    changes["taylor_alpha"] = float(alpha)
+    name, D = RATE if strength == RATE else FILES[metal], float(diameter)
+    scene = Scene.load(ROOT / "workflows" / f"{name}.toml")
+    scale = D * 1e-6 / scene.particle.diameter
+    size = {key: f"{getattr(scene.substrate, key) * 1e6 * scale:g} um" for key in ("diameter", "height")}
+    changes: dict[str, object] = {"taylor_alpha": float(alpha)}
     if strength not in ("", RATE):
         changes["strength"] = strength
     if film != "1":
         changes["oxide_strength"] = f"{float(film) * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
+    lengths = {}
+    if preset == FINER:
+        spacing = spacing_of(FINER_POINTS, D)
+        lengths = {"spacing": f"{spacing:.4g} um", "element_size": f"{ELEMENT_SIZE_OVER_SPACING * spacing:.4g} um"}
     title = "_".join((metal, diameter, temperature, film, strength, alpha, preset))
-    return Scene.from_dict(data, title.replace(".", "p").replace(" ", "-"))  # a name ends at its first point
+    return scene.with_(
+        name=title.replace(".", "p").replace(" ", "-"), preset="fine" if preset == FINER else preset,
+        particle={"diameter": f"{D:g} um", "temperature": f"{temperature} K"}, substrate=size,
+        resolution=lengths, materials={metal: changes},
+    )  # fmt: skip
 
 
 def row_of(*key: str, runs: Path) -> dict[str, object]:
@@ -124,6 +116,66 @@ def placed_row(metal: str, size: str, preset: str, velocity: str, placement: str
     }  # fmt: skip
 
 
+def critical_of(metal: str, diameter: str) -> float | None:
+    """The measured critical velocity, m/s, of a metal at room temperature; None of another diameter (um) than the measured one."""
+    own = MEASURED[metal]
+    return float(own["critical_velocity_m_s"]) if f"{own['diameter_um']}" == diameter else None
+
+
+def flow_stresses(impact: Impact) -> np.ndarray:
+    """Flow stress (v,) Pa of the softer metal at the vertices of the particle's surface; infinite far from the target."""
+    stresses = np.full(impact.surface.weights.shape[0], np.inf)
+    near, facets = impact.contact.touching(len(stresses), 10.0 * impact.particle.spacing)
+    stresses[near] = softer_strength(impact.domains, near, facets)
+    return stresses
+
+
+def springs(preset: str, factor: str) -> dict[str, object]:
+    """One impact without bonds; energies over the section of the particle. factor: on the stiffness of the contact."""
+    scene, energy = scene_of("Ni", "10", preset=preset), list[float]()
+
+    def probe(impact: Impact) -> None:
+        if not energy and impact.sinking < 0.0:  # the particle turns back
+            energy.append(impact.contact.penalty_energy)
+
+    data = tomllib.loads(at_velocity(scene, VELOCITY_NI)) | {"adhesion": {"kind": "none"}}
+    with computed(Scene.from_dict(data), probe=probe, numerics={"contact_stiffness": float(factor)}) as (result, _):
+        s = dict(result.values)
+    section = 0.25 * np.pi * scene.particle.diameter**2
+    rebound = 0.5 * s["particle_mass_kg"] * s["velocity_z_m_s"] ** 2
+    return {
+        "metal": scene.particle.material, "velocity_m_s": VELOCITY_NI, "springs_J_m2": round(energy[0] / section, 1),
+        "rebound_J_m2": round(rebound / section, 1), "restitution": round(s["restitution"], 4), "steps": s["steps"],
+    }  # fmt: skip
+
+
+def profile() -> Iterator[dict[str, object]]:
+    """Means over the bonded area of each zone, of the bonds that have formed by the end of the impact."""
+    scene, values = scene_of("Al1100", f"{SIZE_AL:g}", preset="standard"), dict[str, np.ndarray]()
+
+    def probe(impact: Impact) -> None:
+        bonds, exposure = impact.bonds, impact.exposure
+        if impact.sinking <= 0.0 and bonds is not None and exposure is not None:
+            nodes, bond = bonds.bond.nodes, bonds.bond
+            values["radius"] = np.linalg.norm(impact.surface.positions(impact.particle.x)[nodes, :2], axis=1)
+            values["area"], values["strength"], values["energy"] = bond.area, bond.strength[:, 0], bond.energy[:, 0]
+            values["flow"], values["clean"] = flow_stresses(impact)[nodes], exposure.clean[nodes, 0]
+
+    with computed(Scene.from_text(at_velocity(scene, VELOCITY_AL)), probe=probe):
+        pass
+    radius, area = values.pop("radius"), values.pop("area")
+    for low, high in itertools.pairwise(ZONES):
+        zone = (radius >= 0.5e-6 * SIZE_AL * low) & (radius < 0.5e-6 * SIZE_AL * high)
+        if area[zone].any():
+            mean = {name: float(np.average(field[zone], weights=area[zone])) for name, field in values.items()}
+            yield {
+                "metal": scene.particle.material, "diameter_um": SIZE_AL, "velocity_m_s": VELOCITY_AL, "preset": "standard",
+                "zone_r_over_R": f"{low:g} to {high:g}", "clean_share": round(mean["clean"], 3),
+                "strength_MPa": round(mean["strength"] * 1e-6), "over_flow_stress": round(mean["strength"] / mean["flow"], 2),
+                "energy_J_m2": round(mean["energy"], 1),
+            }  # fmt: skip
+
+
 def criticals(rows: list[Row]) -> Iterator[Row]:
     """The bracket that the verdicts of each particle, film and preset show."""
 
@@ -133,7 +185,7 @@ def criticals(rows: list[Row]) -> Iterator[Row]:
     for key, group in groupby(sorted(rows, key=case), key=case):
         own = list(group)
         found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
-        measured = MEASURED_CRITICAL.get(key[:2]) if key[2] == "300" else None
+        measured = critical_of(*key[:2]) if key[2] == "300" else None
         values = [f"{value:g}" if value else "" for value in (found.low, found.high, found.velocity, measured)]
         names = "rebounds_to_m_s", "sticks_from_m_s", "critical_m_s", "measured_m_s"
         version = {"version": min(row["version"] for row in own)}
@@ -159,8 +211,9 @@ def critical_part(lines: list[Row], rows: list[Row]) -> list[str]:
     for metal, size in sorted({(r["metal"], r["diameter_um"]) for r in fine}, key=lambda key: (key[0], float(key[1]))):
         own = [r for r in fine if (r["metal"], r["diameter_um"]) == (metal, size)]
         found = {(r["taylor_alpha"], r["strength"] in (NI, CU)): words(r) for r in own}
-        measured = f"{MEASURED_CRITICAL[metal, size]:g}" if (metal, size) in MEASURED_CRITICAL else "-"
-        table.append([f"{metal} {size} µm", *(found.get(key, "-") for key in columns.values()), measured])
+        measured = critical_of(metal, size)
+        cells = (found.get(key, "-") for key in columns.values())
+        table.append([f"{metal} {size} µm", *cells, f"{measured:g}" if measured else "-"])
     return markdown(["critical velocity, m/s", *columns, "measured"], table, rows)
 
 
@@ -169,8 +222,10 @@ def draw(rows: list[Row]) -> None:
     figure = blank(9.6, 4.0, 110)
     for left, (metal, size, strength) in zip((0.07, 0.57), (("Ni", "10", NI), ("OFHC_Cu", "14", CU)), strict=True):
         axes = figure.add_axes((left, 0.13, 0.42, 0.78))
-        axes.plot(*np.array(MEASURED[metal]).T, "o", mfc="none", color="k", ms=5, label="measured")
-        axes.axvline(MEASURED_CRITICAL[metal, size], color="k", ls="--", lw=1, label="measured critical velocity")
+        axes.plot(*np.array(MEASURED[metal]["e"]).T, "o", mfc="none", color="k", ms=5, label="measured")
+        axes.axvline(
+            MEASURED[metal]["critical_velocity_m_s"], color="k", ls="--", lw=1, label="measured critical velocity"
+        )
         for alpha, colour, mark in ((ALPHA, "#0072b2", "s-"), ("0", "#d55e00", "^:")):
             words = "gradients harden" if alpha == ALPHA else "no gradients"
             key = metal, size, "300", "1", strength, alpha, "fine"
@@ -190,14 +245,18 @@ def draw(rows: list[Row]) -> None:
 def main() -> None:
     """Run what is missing and tabulate."""
     a = options(__doc__, "docs", runs="runs/bonding_energy")
-    table = study_table("bonding_energy", COLUMNS, KEY, REMAKE)
-    keys = ((*case, f"{v}") for case, velocities in CASES.items() for v in velocities)
-    fill(table, () if a.docs else keys, partial(row_of, runs=Path(a.runs)))
+    runs = Path(a.runs)
+    keys = ((*case, f"{v}") for case, speeds in CASES.items() for v in speeds)
+    table = study("bonding_energy", KEY, REMAKE, () if a.docs else keys, partial(row_of, runs=runs))
     placed = (
         (*case, f"{v}", f"{k}") for case, speeds in PLACED_CASES.items() for v in speeds for k in range(PLACEMENTS)
     )
-    scatter = study_table("bonding_scatter", PLACED, PLACED_KEY, REMAKE)
-    fill(scatter, () if a.docs else placed, partial(placed_row, runs=Path(a.runs)))
+    study("bonding_scatter", PLACED_KEY, REMAKE, () if a.docs else placed, partial(placed_row, runs=runs))
+    springs_of = () if a.docs else itertools.product(("draft", "standard"), ("1", "8", "16"))
+    study("contact_springs", ("preset", "contact_stiffness"), REMAKE, springs_of, springs)
+    profiles = study("bond_profile", ("zone_r_over_R",), REMAKE)
+    for row in () if a.docs or profiles.rows else profile():
+        print(profiles.add(row), flush=True)
     lines = list(criticals(table.rows))
     draw(table.rows)
     write_rows(TABLES / "critical_velocity.csv", list(lines[0]), lines, ABOUT)

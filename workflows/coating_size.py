@@ -5,12 +5,14 @@ docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothi
 """
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
-from pages import ROOT, column, computed, fill, options, study_table, table_rows, versions, write_parts
+from pages import ROOT, column, computed, options, study, versions, write_parts
 
 from coupler import Scene
 from coupler.studies import coating
+from coupler.studies.table import Row
 
 SEEDS = range(3, 11)
 SIZES = {"110": 60, "220": 120}  # um, diameter and height
@@ -23,9 +25,8 @@ MEASURES = {  # column: name and unit of its change
 
 def row_of(seed: str, diameter: str) -> dict[str, object]:
     """The coating of a seed on a substrate of a diameter, um; stresses are means over the volume of the splats within RADIUS."""
-    size = {"substrate.diameter": f'"{diameter} um"', "substrate.height": f'"{SIZES[diameter]} um"'}
-    settings = (("coating.seed", seed), *size.items())
-    scene = Scene.load(ROOT / "workflows" / "coating_size.toml", settings)
+    size = {"diameter": f"{diameter} um", "height": f"{SIZES[diameter]} um"}
+    scene = Scene.load(ROOT / "workflows" / "coating_size.toml").with_(coating={"seed": int(seed)}, substrate=size)
     with computed(scene) as (result, cpu):
         measures = coating.measure(coating.read(result), RADIUS)
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
@@ -39,9 +40,8 @@ def row_of(seed: str, diameter: str) -> dict[str, object]:
     }  # fmt: skip
 
 
-def lines() -> list[str]:
+def lines(rows: Sequence[Row]) -> list[str]:
     """A sentence: the mean changes from the small to the large substrate, with their standard errors."""
-    rows = table_rows("coating_size_seeds")
     rows_in_order = sorted(rows, key=lambda row: int(row["seed"]))
     small, large = ([row for row in rows_in_order if row["diameter_um"] == d] for d in SIZES)
     pairs = min(len(small), len(large))
@@ -58,10 +58,10 @@ def lines() -> list[str]:
 def main() -> None:
     """Run what is missing, write the sentence of the page."""
     a = options(__doc__, "docs")
-    columns = ("seed", "diameter_um", *MEASURES, "cpu_s")
-    table = study_table("coating_size_seeds", columns, columns[:2], "python workflows/coating_size.py")
-    fill(table, () if a.docs else itertools.product(map(str, SEEDS), SIZES), row_of)
-    write_parts("coating", {"size": lines()})
+    keys = itertools.product(map(str, SEEDS), SIZES)
+    remake = "python workflows/coating_size.py"
+    table = study("coating_size_seeds", ("seed", "diameter_um"), remake, () if a.docs else keys, row_of)
+    write_parts("coating", {"size": lines(table.rows)})
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import EVIDENCE, ROOT, column, computed, fill, markdown, measurements, options, study_table, write_parts
+from pages import EVIDENCE, ROOT, column, computed, markdown, measurements, options, study, with_error, write_parts
 
 from coupler import Scene
 from coupler.geometry.tetrahedra import volumes
@@ -23,24 +23,23 @@ from coupler.studies.table import Row
 
 MEASURED = measurements("deposition_stress")
 KEY = ("metal", "velocity_m_s", "strength", "seed", "test")
-COLUMNS = (
-    *KEY, "impact_m_s", "impact_K", "stress_MPa", "stress_all_MPa", "thermal_all_MPa", "density", "overlap_share", "strain", "eps_p",
-    "thickness_um", "drift", "cpu_s", "failed",
-)  # fmt: skip
 
 
-def settings(metal: str, velocity: str, strength: str, seed: str, test: str) -> list[tuple[str, str]]:
-    """What the scene of a key changes of coatings_al.toml."""
+def scene_of(metal: str, velocity: str, strength: str, seed: str, test: str) -> Scene:
+    """The scene of a key: coatings_al.toml with its changes."""
     um, gas, kPa, temperature = next(row[:4] for row in MEASURED[metal] if f"{row[4]}" == velocity)
     nozzle, standoff = MEASURED["nozzles"][f"{kPa}"]
-    texts = {"coating.material": metal, "gas.kind": gas, "gas.nozzle": nozzle} | {
-        "coating.radius": f"{1.5 * um} um", "coating.diameter": f"{um} um", "gas.pressure": f"{kPa / 100} bar",
-        "gas.temperature": f"{temperature} degC", "gas.standoff": f"{standoff} mm", "substrate.diameter": f"{9 * um} um",
-        "substrate.height": f"{3 * um} um", "resolution.spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um",
-        f"materials.{metal}.strength": strength,
-    }  # fmt: skip
-    changes = (MEASURED["tests"] | MEASURED["hot"]).get(test, {})
-    return [("coating.seed", seed), *((key, f"'{value}'") for key, value in texts.items()), *changes.items()]
+    scene = Scene.load(ROOT / "workflows" / "coatings_al.toml").with_(
+        coating={"material": metal, "radius": f"{1.5 * um} um", "diameter": f"{um} um", "seed": int(seed)},
+        gas={
+            "kind": gas, "nozzle": nozzle, "pressure": f"{kPa / 100} bar", "temperature": f"{temperature} degC",
+            "standoff": f"{standoff} mm",
+        },
+        substrate={"diameter": f"{9 * um} um", "height": f"{3 * um} um"},
+        resolution={"spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um"},
+        materials={metal: {"strength": strength}},
+    )  # fmt: skip
+    return scene.with_(**(MEASURED["tests"] | MEASURED["hot"]).get(test, {}))
 
 
 def keys() -> Iterator[tuple[str, ...]]:
@@ -56,7 +55,7 @@ def keys() -> Iterator[tuple[str, ...]]:
 
 def row_of(*key: str) -> dict[str, object]:
     """The coating of a key as a row of the table."""
-    scene = Scene.load(ROOT / "workflows" / "coatings_al.toml", settings(*key))
+    scene = scene_of(*key)
     particle = scene.particles[0]
     with computed(scene, skip_failed=True) as (result, cpu):
         drift = max(abs(impact["energy_drift"]) for impact in result.summary["impacts"])
@@ -136,19 +135,19 @@ def deposited_at(misfit: float, metal: str) -> float:
 def lines(rows: Sequence[Row]) -> list[str]:
     """The table of the coatings, and the tests."""
 
-    def told(values: NDArray[np.float64], digits: int) -> str:
-        error = error_of(values)
-        return f"{values.mean():.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
+    def told(rows: Sequence[Row], name: str, digits: int) -> str:
+        values = column(rows, name)
+        return with_error(values.mean(), error_of(values), digits)
 
     table = []
     for c in comparisons(rows):
         density, d_density, strain, d_strain, stress, d_stress, misfit, d_misfit = c.measured[5:]
         table.append([
             c.name, f"{float(c.rows[0]['impact_m_s']):.0f}, {float(c.rows[0]['impact_K']):.0f}",
-            f"{stress} ± {d_stress}", told(column(c.rows, "stress_MPa"), 0),
+            f"{stress} ± {d_stress}", told(c.rows, "stress_MPa", 0),
             ", ".join(f"{float(r['stress_MPa']):.0f}" for r in c.others) or "-",
-            f"{strain} ± {d_strain}", told(column(c.rows, "strain"), 2),
-            f"{density} ± {d_density}", told(column(c.rows, "density"), 1),
+            f"{strain} ± {d_strain}", told(c.rows, "strain", 2),
+            f"{density} ± {d_density}", told(c.rows, "density", 1),
             f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, c.metal):.0f} K",
         ])  # fmt: skip
     head = "coating | m/s, K | stress (MPa) | computed | other | strain | computed | density (%) | computed | misfit"
@@ -177,8 +176,8 @@ def draw(rows: Sequence[Row]) -> None:
 def main() -> None:
     """Run what is missing, draw, write the table of the page."""
     a = options(__doc__, "docs")
-    table = study_table("coating_al", COLUMNS, KEY, "python workflows/coatings_al.py")
-    fill(table, () if a.docs else keys(), row_of)
+    remake = "python workflows/coatings_al.py"
+    table = study("coating_al", KEY, remake, () if a.docs else keys(), row_of, may_fail=True)
     draw(table.rows)
     write_parts("coating_stress", {"aluminium": lines(table.rows)})
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from pages import computed, fill, number, options, study_table, versions, write_parts
+from pages import computed, impact_tables, number, options, study, versions, write_parts
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -32,32 +32,16 @@ from coupler.plan.planning import Plan, plan
 from coupler.studies.table import Row
 from coupler.target.domain import BodyState, domain_now, domain_of, merge
 
-SCENE = """
-effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]
-[particle]
-material = "{material}"
-diameter = "25 um"
-velocity = "{velocity:g} m/s"
-[substrate]
-material = "{substrate}"
-[contact]
-friction = {friction:g}
-[resolution]
-spacing = "{spacing!r} um"
-element_size = "{size!r} um"
-"""
-CASES: dict[str, dict[str, object]] = {
-    "Ni300": {"material": "Ni", "velocity": 300.0, "substrate": "SS304"},
-    "Ni500": {"material": "Ni", "velocity": 500.0, "substrate": "SS304"},
-    "Cu300": {"material": "OFHC_Cu", "velocity": 300.0, "substrate": "SS304"},
-}
+EFFECTS = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]  # of both
+CASES = {"Ni300": ("Ni", 300.0), "Ni500": ("Ni", 500.0), "Cu300": ("OFHC_Cu", 300.0)}  # metal, m/s; 25 um on SS304
 BODY = 1  # number of the particle among the bodies; the substrate is 0
 
 
 def scene_of(case: str, size: float, friction: float = 0.5) -> Scene:
     """The scene of a case whose substrate has edges of `size` um."""
-    text = SCENE.format(**CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
-    return Scene.from_text(text, case)
+    tables = impact_tables(CASES[case][0], 25.0, CASES[case][1], spacing=size / ELEMENT_SIZE_OVER_SPACING)
+    tables["resolution"]["element_size"] = f"{size!r} um"
+    return Scene.from_dict({"effects": EFFECTS, **tables, "contact": {"friction": friction}}, case)
 
 
 def particle_mesh(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +155,6 @@ MEASURED = {  # column -> instant, measure
     "T_mean_K": ("end", "T_mean_K"),
 }  # fmt: skip
 BALANCE = ("plastic_particle", "plastic_target", "numerical", "drift")  # over the initial kinetic energy
-COLUMNS = (*KEY, "points", "elements", "steps", "dt_mean_ps", *MEASURED, "rebound_m_s", *BALANCE, "cpu_s", "failed")
 SIZES = (3.4, 2.4, 1.7)  # um, edges of the substrate's elements; the points have a spacing of 2.0, 1.41 and 1.0 um
 SHOWN = {
     "flattening_gd": "flattening above surface, greatest", "whole_end": "whole flattening", "crater_end_um": "crater",
@@ -227,21 +210,21 @@ def part(rows: Sequence[Row]) -> list[str]:
     """What points and elements differ by in each case, at the smallest size."""
     of = {(row["case"], row["method"]): row for row in rows if row["size_um"] == f"{SIZES[-1]:g}" and not row["failed"]}
     lines = []
-    for case, words in CASES.items():
+    for case, (metal, velocity) in CASES.items():
         pair = of.get((case, "points")), of.get((case, "elements"))
         if all(pair):
             by_points, by_elements = ({name: number(row, name) for name in SHOWN} for row in pair if row)
             apart = (f"{label} {by_points[n] / by_elements[n] - 1.0:+.1%}" for n, label in SHOWN.items())
-            lines.append(f"- {words['material']}, {words['velocity']:g} m/s: {', '.join(apart)}".replace("%", " %"))
+            lines.append(f"- {metal}, {velocity:g} m/s: {', '.join(apart)}".replace("%", " %"))
     return [*lines, "", versions(rows)]
 
 
 def main() -> None:
     """Compute the rows that the table lacks; write the part of the page."""
     a = options(__doc__, "docs")
-    table = study_table("element_particle", COLUMNS, KEY, "python workflows/element_particle.py")
     keys = ((case, method, f"{size:g}") for size, case, method in itertools.product(SIZES, CASES, METHODS))
-    fill(table, () if a.docs else keys, row_of)
+    remake = "python workflows/element_particle.py"
+    table = study("element_particle", KEY, remake, () if a.docs else keys, row_of, may_fail=True)
     write_parts("accuracy", {"element particle": part(table.rows)})
 
 

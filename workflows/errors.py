@@ -14,7 +14,21 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import NullFormatter
-from pages import EVIDENCE, ROOT, column, markdown, number, options, spent, study_table, versions, write_parts
+from pages import (
+    EVIDENCE,
+    ROOT,
+    column,
+    impact_tables,
+    markdown,
+    measurements,
+    number,
+    options,
+    reason,
+    spent,
+    study,
+    versions,
+    write_parts,
+)
 
 from coupler import Result, Scene, run
 from coupler.core.executors import executor
@@ -28,57 +42,16 @@ from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
-# particle, um, m/s, degrees, substrate, shape: every metal of the library; soft on hard, hard on soft, alike
-SCENES = (
-    ("Ni", 40, 700, 0, "OFHC_Cu", "sphere"),
-    ("Ti", 15, 650, 0, "Al7075", "sphere"),
-    ("CP_Ti", 30, 450, 0, "Ti6Al4V", "flake"),
-    ("Ti6Al4V", 20, 800, 0, "Ti6Al4V", "sphere"),
-    ("SS304", 25, 600, 0, "Al1100", "sphere"),
-    ("SS316L", 35, 750, 20, "SS304", "sphere"),
-    ("OFHC_Cu", 10, 600, 0, "OFHC_Cu", "sphere"),
-    ("Al", 20, 750, 0, "SS304", "sphere"),
-    ("Al1100", 45, 350, 0, "Al1100", "sphere"),
-    ("Al2024", 60, 500, 0, "AZ31B", "sphere"),
-    ("Al7075", 5, 700, 0, "Al7075", "sphere"),
-    ("42CrMo4", 30, 250, 0, "Al2024", "sphere"),
-    ("4340", 15, 500, 45, "SS304", "sphere"),
-    ("Fe", 25, 1000, 0, "Fe", "sphere"),
-    ("IN718", 20, 900, 0, "IN718", "sphere"),
-    ("Ta", 12, 550, 0, "Ta", "sphere"),
-    ("Ag", 8, 400, 0, "OFHC_Cu", "sphere"),
-    ("Nb", 30, 600, 0, "Ti", "rod"),
-    ("W", 10, 300, 0, "OFHC_Cu", "sphere"),
-    ("Zn", 20, 450, 30, "42CrMo4", "sphere"),
-    ("V", 1, 650, 0, "SS316L", "sphere"),
-    ("AZ31B", 50, 600, 0, "Al2024", "oblate"),
-    ("Brass", 25, 100, 0, "SS304", "sphere"),
-    ("Ni", 60, 1250, 0, "SS304", "sphere"),
-)
+SCENES = measurements("accuracy", "scenes")
 PRESETS = ("draft", "standard", "fine")
-COLUMNS = (
-    "scene", "preset", "points", "steps", *CONVERGING, *(f"{key} error" for key in CONVERGING),
-    "verdict", "cpu_s", "error_cpu_s", "failed",
-)  # fmt: skip
 
 
-Case = tuple[str, float, float, float, str, str]
-
-
-def name_of(case: Case) -> str:
-    metal, D, v, angle, base, shape = case
-    more = (f" at {angle:g} deg" if angle else "") + (f", {shape}" if shape != "sphere" else "")
-    return f"{metal} {D:g} um on {base} {v:g} m/s{more}"
-
-
-def compute(case: Case, preset: str) -> dict[str, object]:
+def compute(name: str, preset: str) -> dict[str, object]:
     """The row of a scene at a preset: its measures and errors, and the processor time of the run and of its coarser ones."""
-    row: dict[str, object] = {"scene": name_of(case), "preset": preset}
-    metal, D, v, angle, base, shape = case
-    particle = dict(material=metal, diameter=f"{D} um", velocity=f"{v} m/s", angle=f"{angle} deg", shape=shape)
-    substrate = {"material": base, "diameter": f"{8 * D} um", "height": f"{4 * D} um"}
-    table = {"preset": preset, "particle": particle, "substrate": substrate, "output": {"at": "ends"}}
-    scene = Scene.from_dict(table, "errors")
+    row: dict[str, object] = {"scene": name, "preset": preset}
+    D = SCENES[name]["diameter"]
+    tables = impact_tables(**SCENES[name], size=(8 * D, 4 * D))
+    scene = Scene.from_dict({"preset": preset, **tables, "output": {"at": "ends"}}, "errors")
     with tempfile.TemporaryDirectory() as place:
         folder, start = Path(place) / "run", spent()
         try:
@@ -88,7 +61,7 @@ def compute(case: Case, preset: str) -> dict[str, object]:
                 Companions(plan(scene, error=True), folder, {}, _alone).measure(threads=1)
                 row["error_cpu_s"] = spent() - start - float(str(row["cpu_s"]))
         except ColdsprayError as error:
-            return row | {"failed": " ".join(str(error).split())[:150]}
+            return row | {"failed": reason(error)}
         result = Result(folder)
         row |= {key: result.values[key] for key in ("points", "steps", "verdict", *CONVERGING)}
         row |= {f"{key} error": entry["half_width"] for key, entry in result.errors.items()}
@@ -202,15 +175,15 @@ def forecast(rows: Sequence[Row]) -> dict[str, float]:
 
 def main() -> None:
     a = options(__doc__, "docs", jobs=1, presets=list(PRESETS))
-    known = study_table("errors", COLUMNS, ("scene", "preset"), "python workflows/errors.py")
-    asked = [(case, preset) for preset in PRESETS for case in SCENES if preset in a.presets and not a.docs]
-    wanted = [(case, preset) for case, preset in asked if (name_of(case), preset) not in known]
+    known = study("errors", ("scene", "preset"), "python workflows/errors.py")
+    asked = [(name, preset) for preset in PRESETS for name in SCENES if preset in a.presets and not a.docs]
+    wanted = [key for key in asked if key not in known]
     if wanted:
         with executor("processes", a.jobs, ROOT / "runs") as pool:
             for future in as_completed([pool.submit(compute, *each) for each in wanted]):
                 new = known.add(future.result())
                 print(new["scene"], new["preset"], f"{float(new['cpu_s'] or 'nan'):.3g} s", new["failed"], flush=True)
-        order = [(name_of(case), preset) for case in SCENES for preset in PRESETS]
+        order = [(name, preset) for name in SCENES for preset in PRESETS]
         known.rows.sort(key=lambda row: order.index((row["scene"], row["preset"])))
         known.write()
     print("FORECAST =", forecast(known.rows))

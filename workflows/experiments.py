@@ -1,10 +1,10 @@
 """Single impacts that others have measured, computed with every strength set of the library: python workflows/experiments.py
 
-    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats, coatings
+    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats, coatings, aluminium
     python workflows/experiments.py --docs                 # runs nothing: the page and its figure from the tables
 
-The measurements, readings and bands are in workflows/measurements.toml. Each run is a row of docs/tables/restitution_sets.csv,
-splats_4340.csv or coatings.csv that is not computed again. Nothing is fitted.
+The measurements, readings, bands and suspects are in measurements.toml. Each run is a row of docs/tables/restitution_sets.csv,
+splats_4340.csv, coatings.csv or aluminium.csv that is not computed again. Nothing is fitted.
 """
 
 import math
@@ -20,15 +20,16 @@ from pages import (
     EVIDENCE,
     column,
     computed,
-    fill,
+    impact_tables,
     markdown,
     measurements,
     number,
     options,
     spacing_of,
-    study_table,
+    study,
     table_rows,
     versions,
+    with_error,
     write_parts,
 )
 
@@ -39,61 +40,17 @@ from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.table import Row
 
-REBOUND, SPLAT = measurements("rebound"), measurements("splat")
+REBOUND, SPLAT, ALUMINIUM = measurements("rebound"), measurements("splat"), measurements("aluminium")
 COATED = {name: value for name, value in measurements("coatings").items() if isinstance(value, dict)}
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
 PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
 PROBED = {"Ni": (310, 473), "OFHC_Cu": (315, 489)}  # m/s, where the band is computed
-COLUMNS = (
-    "metal", "set", "velocity_m_s", "preset", "contact_stiffness", "target", "engine", "diameter_um", "restitution", "rebound_m_s",
-    "flattening", "flattening_band", "splat_diameter_um", "thickness_um", "crater_um", "T_max_K", "numerical_share", "drift", "cpu_s",
-    "failed",
-)  # fmt: skip
-KEY = COLUMNS[:5]
-SCENE = """
-preset = "{preset}"
-[particle]
-material = "{metal}"
-diameter = "{diameter:g} um"
-velocity = "{velocity:g} m/s"
-[substrate]
-material = "{target}"
-diameter = "{width:g} um"
-height = "{depth:g} um"
-bottom = "absorbing"
-[adhesion]
-kind = "none"
-[materials.{metal}]
-strength = "{set}"
-"""
-COATING_COLUMNS = (
-    "metal", "test", "splats", "flattening", "flattening_error", "height_over_width", "height_over_width_error", "surface_MPa",
-    "surface_error", "70 um_MPa", "70 um_error", "drift", "cpu_s", "failed",
-)  # fmt: skip
-COATING = """
-preset = "draft"
-end.at = "cold"
-output.at = "ends"
-adhesion = {{ kind = "tied", criterion = "all" }}
-resolution.spacing = "{spacing:.4g} um"
-[coating]
-material = "{metal}"
-number = {number}
-layers = {layers}
-radius = "{radius:g} um"
-positions = "even"
-diameter = "{diameter_um} um"
-velocity = "{velocity_m_s} m/s"
-temperature = "{temperature_K} K"
-dwell = "1 ms"
-[substrate]
-material = "{base}"
-diameter = "{width:g} um"
-height = "{depth:g} um"
-[materials.{metal}]
-strength = "{strength}"
-"""
+KEY = ("metal", "set", "velocity_m_s", "preset", "contact_stiffness")
+SUSPECTS = {(name, f"{v:g}"): change for name, change in ALUMINIUM["suspects"].items() for v, _ in ALUMINIUM["e"]} | {
+    (f"{name}, bonds", f"{v:g}"): change for name, change in ALUMINIUM["bonds"].items() for v in ALUMINIUM["bonded_m_s"]
+}
+BONDED = {"adhesion": {"kind": "cohesive", "criterion": "exposure"}}  # of the suspects with bonds
 
 
 @dataclass(frozen=True)
@@ -114,10 +71,13 @@ class Case:
         return self.metal, self.set, f"{self.velocity:g}", self.preset, f"{self.stiffness:g}"
 
     @property
-    def text(self) -> str:
-        """The scene; the target is 6 diameters wide and 3 deep."""
-        size = {"width": 6 * self.diameter, "depth": 3 * self.diameter}
-        return SCENE.format(**vars(self), **size)
+    def scene(self) -> Scene:
+        """The target is 6 diameters wide and 3 deep."""
+        size = 6.0 * self.diameter, 3.0 * self.diameter
+        tables = impact_tables(self.metal, self.diameter, self.velocity, self.target, size)
+        tables["substrate"]["bottom"] = "absorbing"
+        more = {"adhesion": {"kind": "none"}, "materials": {self.metal: {"strength": self.set}}}
+        return Scene.from_dict({"preset": self.preset, **tables, **more}, "experiment")
 
 
 def in_window(velocity: float) -> bool:
@@ -160,15 +120,14 @@ def splats() -> Iterator[Case]:
 
 def row_of(case: Case) -> dict[str, object]:
     """The run of a case as a row of the table."""
-    scene = Scene.from_text(case.text, "experiment")
     numerics = {} if case.stiffness == 1.0 else {"contact_stiffness": case.stiffness}
     # the error of a splat is on the page
-    with computed(scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
+    with computed(case.scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
         s = result.values
     band_of = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
     return {
         "target": case.target, "diameter_um": case.diameter,
-        "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
+        "engine": case.scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
         "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
         "splat_diameter_um": s["splat_diameter_m"] * 1e6, "thickness_um": s["thickness_m"] * 1e6,
         "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
@@ -176,13 +135,37 @@ def row_of(case: Case) -> dict[str, object]:
     }  # fmt: skip
 
 
+def suspect_row(suspect: str, velocity: str) -> dict[str, object]:
+    """The rebound of aluminium with one suspect, without bonds at draft, or with bonds at standard. velocity: m/s."""
+    change, v, D = dict(SUSPECTS[suspect, velocity]), float(velocity), ALUMINIUM["diameter_um"]
+    bonded = suspect.endswith(", bonds")
+    preset, strength, stiffness = ("standard", "Hassani_2016", 8.0) if bonded else ("draft", "Pierazzo_2008", 1.0)
+    stiffness = change.pop("contact_stiffness", stiffness)
+    usual = Case("Al1100", strength, v, D, "Al1100", preset).scene
+    scene = usual.with_(**BONDED if bonded else {}).with_(**change)
+    with computed(scene, numerics={"contact_stiffness": stiffness}, error=False) as (result, cpu):
+        s = result.values
+    return {
+        "restitution": (s["rebound_velocity_m_s"] or 0.0) / v, "margin_J": s["margin_J"],
+        "flattening": s["flattening_ratio_total"], "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"], "cpu_s": cpu,
+    }  # fmt: skip
+
+
 def coating_scene(metal: str, test: str) -> Scene:
     """The scene of a coating of measurements.toml, with what a test changes of it."""
     said = {"strength": next(iter(entry(metal).sets))} | COATED[metal]
     D, size = said["diameter_um"], said["scene"]
-    values = {"radius": size["patch"] * D, "width": 9 * D, "depth": size["height"] * D, "spacing": spacing_of(1000, D)}
-    text = COATING.format(metal=metal, **said, **size, **values)
-    return Scene.from_text(text, "coating", list(said["tests"].get(test, {}).items()))
+    tables = impact_tables(metal, D, said["velocity_m_s"], said["base"], (9 * D, size["height"] * D))
+    of_coating = {
+        "number": size["number"], "layers": size["layers"], "radius": f"{size['patch'] * D:g} um", "positions": "even",
+        "temperature": f"{said['temperature_K']} K", "dwell": "1 ms",
+    }  # fmt: skip
+    scene = {
+        "preset": "draft", "end": {"at": "cold"}, "output": {"at": "ends"}, "adhesion": {"kind": "tied", "criterion": "all"},
+        "coating": tables.pop("particle") | of_coating, **tables, "materials": {metal: {"strength": said["strength"]}},
+        "resolution": {"spacing": f"{spacing_of(1000, D):.4g} um"},
+    }  # fmt: skip
+    return Scene.from_dict(scene, "coating").with_(**said["tests"].get(test, {}))
 
 
 def coating_row(metal: str, test: str) -> dict[str, object]:
@@ -191,7 +174,7 @@ def coating_row(metal: str, test: str) -> dict[str, object]:
         splats, drift = coating.read(result), max(abs(i["energy_drift"]) for i in result.summary["impacts"])
         radius = coating.disc_radius(splats)
     strain = coatings_al.flattening_strains(coatings_al.buried(splats), radius)
-    row: dict[str, object] = {"splats": len(strain), "drift": drift, "cpu_s": cpu, "failed": ""}
+    row: dict[str, object] = {"splats": len(strain), "drift": drift, "cpu_s": cpu}
     for name, values in {"flattening": 1.0 - np.exp(-strain), "height_over_width": np.exp(-1.5 * strain)}.items():
         row |= {name: values.mean(), f"{name}_error": coatings_al.error_of(values)}
     z = splats.mesh.points[splats.mesh.cells].mean(axis=1)[:, 2] * 1e6
@@ -226,17 +209,13 @@ def coating_pairs(row: Row) -> Iterator[tuple[str, str, Sequence[float], Sequenc
 
 def coating_part(rows: Sequence[Row]) -> list[str]:
     """Flattening in coatings, by both readings, and stress below one, measured and computed; what each test gives."""
-
-    def told(value: float, error: float, digits: int) -> str:
-        return f"{value:.{digits}f}" + ("" if math.isnan(error) else f" ± {error:.{digits}f}")
-
     lines, tests = [], []
     for row in (row for row in rows if not row["failed"]):
         for quantity, what, measured, ours, digits in coating_pairs(row):
             if row["test"] and not what.endswith("h / w"):
-                tests.append(f"{what}, {row['test']} {told(*ours, digits)}")
+                tests.append(f"{what}, {row['test']} {with_error(*ours, digits)}")
             elif not row["test"]:
-                lines.append([quantity, what, told(*measured, digits), told(*ours, digits)])
+                lines.append([quantity, what, with_error(*measured, digits), with_error(*ours, digits)])
     return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
 
 
@@ -298,13 +277,30 @@ def splat_part(rows: Sequence[Row]) -> list[str]:
     lines = []
     for row in done:
         flow = material(row["metal"], row["set"]).flow_stress(STRAIN_OF_INDENT, 0.0, 293.0)
-        ratio = f"{splat_ratio(row):.2f} ± {number(row, 'flattening_band'):.2f}"
+        ratio = with_error(splat_ratio(row), number(row, "flattening_band"), 2)
         lines.append([f"{HARDNESS_OVER_FLOW_STRESS * flow / 1e9:.2f}", f"{row['metal']} ({row['set']})", ratio, ""])
     for name, (hardness, error) in SPLAT["nanohardness_GPa"].items():
         mean, scatter = SPLAT["measured"][name]
         lines.append([f"{hardness:.2f} ± {error:.2f}", f"powder {name}", "", f"{mean:.2f} ± {scatter:.2f}"])
     head = ["hardness, GPa", "metal", "computed", "measured"]
     return markdown(head, sorted(lines), done)
+
+
+def suspects_part(rows: Sequence[Row]) -> list[str]:
+    """A row for each suspect of aluminium: restitution without bonds, and the margin with bonds."""
+    found = {(row["suspect"], row["velocity_m_s"]): row for row in rows}
+    speeds, bonded = [f"{v:g}" for v, _ in ALUMINIUM["e"]], [f"{v:g}" for v in ALUMINIUM["bonded_m_s"]]
+    lines = [["measured", *(f"{e:.3f}" for _, e in ALUMINIUM["e"])]]
+    lines += [
+        [name, *(f"{number(found[name, v], 'restitution'):.3f}" for v in speeds)] for name in ALUMINIUM["suspects"]
+    ]
+    margins = [
+        [name, *(f"{number(found[f'{name}, bonds', v], 'margin_J') * 1e9:+.1f}" for v in bonded)]
+        for name in ALUMINIUM["bonds"]
+    ]
+    head = ["restitution", *(f"{v} m/s" for v in speeds)]
+    second = ["margin to stick, nJ", *(f"{v} m/s" for v in bonded)]
+    return [*markdown(head, lines), "", *markdown(second, margins, rows)]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
@@ -339,22 +335,21 @@ PARTS = {  # name: table, cases
 
 def main() -> None:
     """Run what is missing, write the page."""
-    a = options(__doc__, "docs", only=[*PARTS, "coatings"])
+    a = options(__doc__, "docs", only=[*PARTS, "coatings", "aluminium"])
+    remake = "python workflows/experiments.py"
     for part in () if a.docs else a.only:
         if part == "coatings":
-            table = study_table(part, COATING_COLUMNS, COATING_COLUMNS[:2], "python workflows/experiments.py")
-            fill(table, coatings(), coating_row)
-            continue
-        name, cases = PARTS[part]
-        wanted = {case.key: case for case in cases()}
-        fill(
-            study_table(name, COLUMNS, KEY, "python workflows/experiments.py"),
-            wanted,
-            lambda *key, of=wanted: row_of(of[key]),
-        )
+            study("coatings", ("metal", "test"), remake, coatings(), coating_row, may_fail=True)
+        elif part == "aluminium":
+            study("aluminium", ("suspect", "velocity_m_s"), remake, SUSPECTS, suspect_row)
+        else:
+            name, cases = PARTS[part]
+            of = {case.key: case for case in cases()}
+            study(name, KEY, remake, of, lambda *key, of=of: row_of(of[key]), may_fail=True)
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
     draw(rebound, EVIDENCE / "restitution_sets.png")
-    write_parts("experiments", {"restitution": restitution_part(rebound), "splats": splat_part(splat)})
+    parts = {"restitution": restitution_part(rebound), "splats": splat_part(splat)}
+    write_parts("experiments", {**parts, "aluminium": suspects_part(table_rows("aluminium"))})
     write_parts("coating_stress", {"coatings": coating_part(table_rows("coatings"))})
 
 

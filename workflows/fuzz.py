@@ -7,7 +7,6 @@ gives up), within the time. All else (a fault, a traceback, a signal, no end) is
 
 import argparse
 import contextlib
-import json
 import math
 import os
 import random
@@ -28,6 +27,7 @@ import verify
 from coupler import Result, report
 from coupler.commands.main import main as coldspray
 from coupler.errors import StoreError
+from coupler.studies.sweep import toml_text
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
@@ -122,16 +122,6 @@ def scene(seed: int) -> dict[str, Any]:
     return said
 
 
-def toml(said: dict[str, Any]) -> str:
-    """A scene as TOML: tables of texts, numbers and lists of texts."""
-    lines = [f"{name} = {json.dumps(value)}" for name, value in said.items() if not isinstance(value, (dict, list))]
-    for name, tables in said.items():
-        for table in tables if isinstance(tables, list) else [tables] if isinstance(tables, dict) else []:
-            lines.append(f"[[{name}]]" if isinstance(tables, list) else f"[{name}]")
-            lines += [f"{key} = {json.dumps(value)}" for key, value in table.items()]
-    return "\n".join(lines) + "\n"
-
-
 def verdict(code: int | None, said: str, faults: Sequence[str] = ()) -> str:
     """What is wrong with an end; nothing if it is allowed. code: None for no end; said: by the command; faults: of its result."""
     if code is None:
@@ -189,7 +179,7 @@ def _run(command: list[str], log: Path, patience: int, memory: int) -> None:
 def played(seed: int, folder: Path) -> tuple[str, str]:
     """Compute the scene of a seed, and check its result. Returns how it ended, and what is wrong with that."""
     path, out, log = folder / "scene.toml", folder.with_name("out"), folder / "log"
-    path.write_text(toml(scene(seed)))
+    path.write_text(toml_text(scene(seed)))
     code, _ = ended(["run", str(path), "--out", str(out), "--quiet", "--threads", "1"], log, PATIENCE)
     faults: list[str] = []
     if code in (0, 4):

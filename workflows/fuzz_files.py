@@ -1,13 +1,11 @@
 """Damaged files of every kind that a command reads: python workflows/fuzz_files.py [--n 2000] [--seed 1] [--keep DIR]
 
-Each mutation is read by its command in a forked process with limits on memory and time. Allowed ends: a result (exit code 0), one
-message (2, 3), or an undecided run (4). After anything else (a traceback, a warning of a library, a signal, no end) the mutation
-is printed, its log is kept in DIR, and the exit code is 1.
+Each mutation is read by its command in a forked process with limits on memory and time; files that are no regular ones, and contents
+made to mislead, are in tests/files. Allowed ends: a result (exit code 0), one message (2, 3), or an undecided run (4). After anything
+else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its log is kept in DIR, and the exit code is 1.
 """
 
 import importlib
-import io
-import json
 import os
 import random
 import re
@@ -15,19 +13,20 @@ import shlex
 import shutil
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import h5py  # noqa: E402
+import made_up_run  # noqa: E402
 import meshio  # noqa: E402
 import numpy as np  # noqa: E402
+import sweeps  # noqa: E402
 from fuzz import ended, tried, verdict  # noqa: E402
 
 from coupler.files import checkpoint  # noqa: E402
@@ -36,7 +35,7 @@ from coupler.particle import packing  # noqa: E402
 from coupler.plan.planning import plan  # noqa: E402
 from coupler.plan.reading import Scene  # noqa: E402
 from coupler.plan.record import plan_text  # noqa: E402
-from tests import made_up_run  # noqa: E402
+from coupler.studies.sweep import Sweep  # noqa: E402
 
 PRELOADED = (
     "coupler.report.page", "coupler.report.animation", "coupler.report.compare", "coupler.studies.maps",
@@ -77,6 +76,7 @@ class Kind:
     commands: Sequence[Sequence[str]]
 
 
+POINT = "sweep/Ni_10um_400ms_300K"
 SHOW = [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]
 KINDS = (
     Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
@@ -98,9 +98,9 @@ KINDS = (
     Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
     Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
     Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
-    Kind("end of a point", "sweep/Ni_a.json", 2, SHOW),
-    Kind("summary of a point", "sweep/Ni_a/summary.json", 3, SHOW),
-    Kind("scene of a point", "sweep/Ni_a.toml", 3, SHOW),
+    Kind("end of a point", f"{POINT}.json", 2, SHOW),
+    Kind("summary of a point", f"{POINT}/summary.json", 3, SHOW),
+    Kind("scene of a point", f"{POINT}.toml", 3, SHOW),
     Kind("checkpoint", "broken/checkpoint-000002.ckpt", 5, [["resume", "BROKEN", "--quiet"]]),
 )
 
@@ -143,15 +143,7 @@ def prepare(folder: Path) -> None:
         with h5py.File(folder / name / "target.vtkhdf", "r+", locking=False) as file:
             data, offsets = file["VTKHDF/CellData"], file["VTKHDF/Steps/CellDataOffsets"]
             data["body"], offsets["body"] = np.zeros(len(data["T"]), np.float32), offsets["T"][()]
-    for k, name in enumerate(f"Ni_{letter}" for letter in "abcdefgh"):
-        scene = made_up_run.SCENE.replace("500 m/s", f"{400 + 50 * (k % 4)} m/s")
-        scene = scene.replace("25 um", f"{20 + k // 4 * 10} um")
-        (folder / "sweep" / name).mkdir(parents=True)
-        (folder / "sweep" / f"{name}.toml").write_text(scene)
-        (folder / "sweep" / f"{name}.json").write_text('{"status": "done", "reason": "", "exit_code": 0}')
-        (folder / "sweep" / name / "scene.toml").write_text(scene)
-        found = made_up_run.summary(end={"flattening_ratio": 0.4 + 0.02 * k}, rebound_velocity_m_s=20.0 + k)
-        (folder / "sweep" / name / "summary.json").write_text(json.dumps(found))
+    sweeps.made(folder / "sweep", Sweep.from_dict(sweeps.points()))
     made_up_run.write(folder / "broken", 2, 300, 20.0)
     store = {"columns": ["time"], "history": np.ones((3, 1)), "steps": {"target": 1}}
     for _ in range(2):
@@ -209,25 +201,13 @@ BYTES = (*(spoil,) * 6, whole)
 TEXT = (*(number,) * 4, lines, *BYTES)
 
 
-def special(dice: random.Random, path: Path) -> str:
-    """No regular file at all, where one is expected."""
-    path.unlink()
-    makers: dict[str, Callable[[], object]] = {
-        "pipe": lambda: os.mkfifo(path), "folder": path.mkdir, "circle": lambda: path.symlink_to(path), "missing": lambda: None,
-        "/dev/zero": lambda: path.symlink_to("/dev/zero"), "dangling": lambda: path.symlink_to(path.with_name("nowhere")),
-    }  # fmt: skip
-    how = dice.choice(list(makers))
-    makers[how]()
-    return how
-
-
 def hdf5(dice: random.Random, path: Path) -> str:
     """A sound HDF5 file with contents that no run writes."""
     with h5py.File(path, "r+", locking=False) as file:
         names: list[str] = []
         file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
         name = dice.choice(names)
-        data, how = file[name], dice.choice(("value", "value", "all", "steps", "resized", *REPLACED))
+        data, how = file[name], dice.choice(("value", "value", "all", "steps", "resized"))
         if how in ("value", "all"):
             new = dice.choice(
                 (np.nan, np.inf, 1e308, -1e30, 0.0) if data.dtype.kind == "f" else (-1, 2**40, 2**62, 0, 255)
@@ -240,49 +220,6 @@ def hdf5(dice: random.Random, path: Path) -> str:
             file["VTKHDF/Steps"].attrs["NSteps"] = dice.choice((0, -1, 10**12, "two", [1, 2], 1.5, float("nan")))
         elif how == "resized" and data.chunks is not None:
             data.resize(dice.choice((0, 1, len(data) + 1, 10**9)), axis=0)
-        elif how in REPLACED:
-            width = data.shape[1:]
-            del file[name]
-            REPLACED[how](file, name, width)
-    return f"{name}: {how}"
-
-
-# What takes the place of a data set: a function of (file, name, shape of a row)
-REPLACED: dict[str, Callable[[h5py.File, str, tuple[int, ...]], object]] = {
-    "missing": lambda file, name, width: None,
-    "huge": lambda file, name, width: file.create_dataset(name, (10**10, *width), "f8"),
-    "chunk": lambda file, name, width: file.create_dataset(
-        name, (10**9, *width), "f8", chunks=(10**8, *width), compression=1
-    ),
-    "text": lambda file, name, width: file.create_dataset(name, data=np.array([b"some text"] * 5)),
-    "group": lambda file, name, width: file.create_group(name),
-    "link": lambda file, name, width: file.__setitem__(name, h5py.ExternalLink("/dev/zero", "/x")),
-    "scalar": lambda file, name, width: file.__setitem__(name, 1.0),
-}
-
-
-def npz(dice: random.Random, path: Path) -> str:
-    """A sound archive of arrays that no cloud has."""
-    with np.load(path) as file:
-        arrays = dict(file)
-    name = dice.choice(list(arrays))
-    n = len(arrays["points"])
-    how, new = dice.choice((
-        ("nan", np.full((n, 3), np.nan)), ("1e308", np.full((n, 3), 1e308)), ("text", np.array([["a"] * 3] * n)),
-        ("complex", np.ones((n, 3), complex)),
-        ("flat", np.zeros((n, 3))), ("one row", np.ones((1, 3))), ("scalar", np.array(1.0)), ("cube", np.ones((n, 3, 3))),
-        ("none", np.zeros((0, 3))),
-        ("integers", np.arange(3 * n).reshape(n, 3)), ("objects", np.array([None] * n)),
-        ("huge claim", np.zeros(1)), ("bomb", np.zeros(1)),
-        ("mixed", np.where(np.arange(3 * n).reshape(n, 3) == 5, 1e200, arrays["points"])),
-    ))  # fmt: skip
-    arrays[name] = new
-    np.savez_compressed(path, **arrays)
-    if how in ("huge claim", "bomb"):
-        head = io.BytesIO()
-        np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**11, 3)})
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("points.npy", head.getvalue() + bytes(10**7 if how == "bomb" else 10))
     return f"{name}: {how}"
 
 
@@ -299,11 +236,8 @@ def crafted(dice: random.Random, path: Path) -> str:
 
 def mutate(dice: random.Random, path: Path) -> str:
     """Damage a file, and say how."""
-    own: dict[str, Callable[[random.Random, Path], str]] = {".vtkhdf": hdf5, ".npz": npz, ".ckpt": crafted}
-    draw = dice.random()
-    if draw < 0.05:
-        return special(dice, path)
-    if path.suffix in own and draw < 0.7:
+    own: dict[str, Callable[[random.Random, Path], str]] = {".vtkhdf": hdf5, ".ckpt": crafted}
+    if path.suffix in own and dice.random() < 0.7:
         return own[path.suffix](dice, path)
     ways = TEXT if path.suffix in (".toml", ".json", ".csv", ".vtu", ".ply", ".obj", ".stl") else BYTES
     data, said = bytearray(path.read_bytes()), []

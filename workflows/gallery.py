@@ -11,7 +11,6 @@ import contextlib
 import io
 import os
 import re
-import resource
 import shlex
 import subprocess
 import sys
@@ -21,18 +20,13 @@ from typing import Any
 
 import nbformat
 from nbclient import NotebookClient
+from pages import DOCS, spent
 from PIL import Image
 
 from coupler import __version__
 
-GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
+GALLERY = DOCS / "gallery"
 BLOCK = re.compile(r"^```(console|python|toml)\n(.*?)^```\n(?:\n```text\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
-
-
-def seconds() -> float:
-    """Processor time of this process and of those it has started and seen to their end."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 def printed(kind: str, text: str, names: dict[str, Any]) -> str:
@@ -53,7 +47,7 @@ def printed(kind: str, text: str, names: dict[str, Any]) -> str:
 
 def run_page(page: Path) -> None:
     """Run a page and write it with its output, pictures and time."""
-    start, names, home = seconds(), dict[str, Any](), Path.cwd()
+    start, names, home = spent(), dict[str, Any](), Path.cwd()
 
     def with_output(match: re.Match[str]) -> str:
         output = printed(match[1], match[2], names).rstrip()
@@ -69,7 +63,7 @@ def run_page(page: Path) -> None:
         finally:
             os.chdir(home)
     text = re.sub(r"\n\*Computed in .*\n", "", text)
-    took = f"Computed in {seconds() - start:.0f} s of processor time by version {__version__}"
+    took = f"Computed in {spent() - start:.0f} s of processor time by version {__version__}"
     page.write_text(f"{text}\n*{took}; remade by* `python workflows/gallery.py {page.stem}`\n", encoding="utf-8")
 
 

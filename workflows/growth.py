@@ -7,36 +7,31 @@ before becomes a body, joins, comes to rest; building), who set dt. --docs compu
 
 import random
 
-from pages import EVIDENCE, TABLES, column, computed, options, spent, table_rows, write_table
+from pages import EVIDENCE, TABLES, column, computed, impact_tables, options, spent, table_rows, write_table
 
 from coupler import Scene
 from coupler.impact.exchange import Impact
 from coupler.report.picture import blank, save
 
-COLUMNS = (
-    "impact", "elements", "steps", "before s", "steps s", "ms per step", "end ns", "dt mean ps", "dt set by the bodies %",
-    "stretch", "drift",
-)  # fmt: skip
-
 
 def scene(impacts: int, seed: int) -> Scene:
     """Particles at random places within a disc."""
-    dice = random.Random(seed)
-    text = '[substrate]\nmaterial = "SS304"\n[resolution]\nspacing = "1.8 um"\n'
+    dice, particles = random.Random(seed), []
     for _ in range(impacts):
         x = y = 12.0
         while x * x + y * y >= 144:
             x, y = dice.uniform(-12, 12), dice.uniform(-12, 12)
-        text += '[[particle]]\ndwell = "0 us"\n'
-        text += f'material = "Ni"\ndiameter = "20 um"\nvelocity = "550 m/s"\noffset = ["{x:.2f} um", "{y:.2f} um"]\n'
-    return Scene.from_text(text + '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n', "growth")
+        tables = impact_tables("Ni", 20.0, 550.0, spacing=1.8, dwell="0 us", offset=[f"{x:.2f} um", f"{y:.2f} um"])
+        particles.append(tables.pop("particle"))
+    more = {"adhesion": {"kind": "tied"}, "end": {"at": "rest"}}
+    return Scene.from_dict({"particle": particles, **tables, **more}, "growth")
 
 
 class Clock:
     """A probe: the table's row of each impact."""
 
     def __init__(self) -> None:
-        self.rows = list[list[str]]()
+        self.rows = list[dict[str, object]]()
         self._ledger: object = None
         self._began = self._last = spent()
 
@@ -44,15 +39,16 @@ class Clock:
         now = spent()
         if impact.ledger.before != self._ledger:  # a retry makes a new ledger with the same start
             self._ledger, self._began = impact.ledger.before, now
-            self.rows.append(["0"] * 3 + [f"{now - self._last:.1f}"] + [""] * (len(COLUMNS) - 4))
+            self.rows.append({"before s": f"{now - self._last:.1f}"})
         self._last = now
         seconds, steps = now - self._began, impact.particle.steps
-        self.rows[-1] = [
-            str(len(self.rows)), str(len(impact.target.mesh.conn)), str(steps), self.rows[-1][3], f"{seconds:.1f}",
-            f"{1e3 * seconds / steps:.2f}", f"{impact.time * 1e9:.1f}", f"{impact.time / steps * 1e12:.1f}",
-            f"{100 * impact.limits['target'] / steps:.0f}", f"{impact.particle.totals.stretch_min:.2f}",
-            f"{impact.ledger.rows.get('drift', 0.0):.1e}",
-        ]  # fmt: skip
+        self.rows[-1] = {
+            "impact": len(self.rows), "elements": len(impact.target.mesh.conn), "steps": steps,
+            "before s": self.rows[-1]["before s"], "steps s": f"{seconds:.1f}", "ms per step": f"{1e3 * seconds / steps:.2f}",
+            "end ns": f"{impact.time * 1e9:.1f}", "dt mean ps": f"{impact.time / steps * 1e12:.1f}",
+            "dt set by the bodies %": f"{100 * impact.limits['target'] / steps:.0f}",
+            "stretch": f"{impact.particle.totals.stretch_min:.2f}", "drift": f"{impact.ledger.rows.get('drift', 0.0):.1e}",
+        }  # fmt: skip
 
 
 def draw() -> None:
@@ -77,8 +73,7 @@ def main() -> None:
     if not a.docs:
         clock = Clock()
         with computed(scene(a.impacts, a.seed), probe=clock):
-            rows = [dict(zip(COLUMNS, row, strict=True)) for row in clock.rows]
-        write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
+            write_table(TABLES / "growth.csv", clock.rows, "remake: python workflows/growth.py")
     draw()
 
 

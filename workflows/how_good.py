@@ -12,7 +12,7 @@ from typing import NamedTuple
 import coatings_al
 import experiments
 import numpy as np
-from pages import EVIDENCE, column, markdown, number, table_rows, write_parts
+from pages import EVIDENCE, column, markdown, number, table_rows, with_error, write_parts
 from validation_page import scattered, seven
 
 from coupler.physics.materials import entry
@@ -118,13 +118,9 @@ def pairs() -> list[Pair]:
 
 def table(pairs: list[Pair]) -> list[str]:
     """All pairs, and of each kind how many are apart."""
-
-    def shown(value: float, error: float, digits: int) -> str:
-        return f"{value:.{digits}f}" + (f" ± {error:.{digits}f}" if math.isfinite(error) else "")
-
     lines, last = [], ""
     for p in pairs:
-        cells = shown(p.measured, p.measured_error, p.digits), shown(p.computed, p.computed_error, p.digits)
+        cells = with_error(p.measured, p.measured_error, p.digits), with_error(p.computed, p.computed_error, p.digits)
         quantity = f"{p.kind}: {p.page}"
         lines.append(
             [quantity if quantity != last else "", p.what, *cells, f"{p.apart:+.{p.digits}f}" if p.apart else "no"]

@@ -8,20 +8,8 @@ import time
 from collections.abc import Mapping
 
 import numpy as np
-from element_particle import ElementImpact, strike
-from pages import (
-    EVIDENCE,
-    column,
-    computed,
-    fill,
-    markdown,
-    number,
-    options,
-    single_impact,
-    spacing_of,
-    study_table,
-    write_parts,
-)  # fmt: skip
+from element_particle import EFFECTS, ElementImpact, strike
+from pages import EVIDENCE, column, computed, impact_tables, markdown, number, options, spacing_of, study, write_parts
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -43,24 +31,19 @@ FINEST = ("Ti64 25 µm, 1000 m/s, on SS304", "64000 points")  # others thin so f
 SIZES = (3.4, 2.4, 1.7, 1.2)  # um, edges of the particle's elements and of the target's
 THINNED = 0.1  # of its length: a point compressed further
 SHAPE = {"height": "height_m", "thickness": "thickness_m", "diameter": "splat_diameter_m"}
-COLUMNS = (
-    "case", "preset", "points", "stretch_median", "stretch_99", "thinned", "height", "thickness", "diameter", "top", "span",
-    "jet_um", "unresolved", "cpu_s", "ended",
-)  # fmt: skip
 
 
-def scene(case: str, preset: str, spacing: float = 0.0, more: str = "") -> Scene:
+def scene(case: str, preset: str, spacing: float = 0.0, **more: object) -> Scene:
     """The scene of a case; spacing: um, that of the preset if 0."""
     metal, diameter, velocity, base = CASES[case]
-    text = single_impact(metal, diameter, velocity, base, spacing, '[adhesion]\nkind = "none"\n')
-    return Scene.from_text(f'preset = "{preset}"\n{more}{text}', "jets")
+    tables = impact_tables(metal, diameter, velocity, base, spacing=spacing)
+    return Scene.from_dict({"preset": preset, "adhesion": {"kind": "none"}, **tables, **more}, "jets")
 
 
 def by_elements(case: str, size: float) -> dict[str, object]:
     """Follow the particle as finite elements until it rests or an element fails. size: edges, um."""
-    off = 'effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]\n'
     spacing = round(size / ELEMENT_SIZE_OVER_SPACING, 6)
-    impact = ElementImpact(plan(scene(case, "fine", spacing, off)), size * 1e-6)
+    impact = ElementImpact(plan(scene(case, "fine", spacing, effects=EFFECTS)), size * 1e-6)
     t, own = impact.target, impact.elements
     undeformed = np.linalg.inv(_edges(t.nodes.x, t.mesh.conn[own]))
     started, ended, last = time.process_time(), "at rest", (np.eye(3)[None], impact.measures())
@@ -161,10 +144,10 @@ def figure(rows: list[Row]) -> None:
 
 def main() -> None:
     """Compute the rows that the table lacks, the cheap ones first, and write the page."""
-    table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
     whats = (*PRESETS, *(f"elements {size:g} um" for size in SIZES))
-    if not options(__doc__, "docs").docs:
-        fill(table, [*((case, what) for what in whats for case in CASES), FINEST], row_of)
+    keys = [*((case, what) for what in whats for case in CASES), FINEST]
+    docs = options(__doc__, "docs").docs
+    table = study("jets", ("case", "preset"), "python workflows/jets.py", () if docs else keys, row_of)
     page(table.rows)
     figure(table.rows)
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import stability
-from pages import computed, fill, options, study_table, table_rows
+from pages import computed, impact_tables, options, study, table_rows
 from scipy.optimize import least_squares
 
 from coupler.physics.materials import Material, material
@@ -30,16 +30,10 @@ SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
 
 def row_of(metal: str, on: str, D: str, v: str, T: str, T_target: str, angle: str, preset: str) -> dict[str, object]:
     """Steps, time to rest and retries of an impact; diameter um, velocity m/s, temperatures K, angle deg."""
-    particle = {
-        "material": metal,
-        "diameter": f"{D} um",
-        "velocity": f"{v} m/s",
-        "temperature": f"{T} K",
-        "angle": f"{angle} deg",
-    }
-    size = {"diameter": f"{8 * float(D)} um", "height": f"{4 * float(D)} um"}
-    base = {"material": on, **size, "temperature": f"{T_target} K"}
-    scene = Scene.from_dict({"particle": [particle], "substrate": base, "preset": preset, "name": "pace"})
+    size = 8 * float(D), 4 * float(D)
+    tables = impact_tables(metal, float(D), float(v), on, size, temperature=f"{T} K", angle=f"{angle} deg")
+    tables["substrate"]["temperature"] = f"{T_target} K"
+    scene = Scene.from_dict({**tables, "preset": preset, "name": "pace"})
     with computed(scene) as (result, _):
         impact, retries = result.impacts[0], len(result.summary["run"]["retries"])
     return {"steps": impact["steps"], "time_ns": 1e9 * impact["end"]["time_s"], "retries": retries}
@@ -121,11 +115,11 @@ def fit() -> None:
 def main() -> None:
     """Draw the sample, or fit."""
     if options(__doc__, "fit").fit:
-        return fit()
-    key = (*DRAWN, "preset")
-    table = study_table("pace_sample", (*key, "steps", "time_ns", "retries"), key, "python workflows/pace.py")
+        fit()
+        return
     sample = list(drawn())
-    return fill(table, ((*each, preset) for preset, each in itertools.product(SAMPLED, sample)), row_of)
+    keys = ((*each, preset) for preset, each in itertools.product(SAMPLED, sample))
+    study("pace_sample", (*DRAWN, "preset"), "python workflows/pace.py", keys, row_of)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import re
 import resource
 import tempfile
 import time
+import timeit
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,34 +28,45 @@ DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
 EVIDENCE = DOCS / "evidence"
 
 
-def fill(table: StudyTable, keys: Iterable[tuple[str, ...]], row_of: Callable[..., Mapping[str, object]]) -> None:
-    """Compute the rows of a table that it lacks, by their keys, and print them. row_of: of the values of a key, the other columns.
+def study(
+    name: str,
+    key: Sequence[str],
+    remake: str,
+    keys: Iterable[tuple[str, ...]] = (),
+    row_of: Callable[..., Mapping[str, object]] = dict,
+    may_fail: bool = False,
+) -> StudyTable:
+    """The table docs/tables/NAME.csv of a study, with the rows of keys computed and printed that it lacks. remake: the command.
 
-    The reason of a run that ends with an error goes into the column `failed` of a table that has one.
+    key: the columns that identify a row; row_of: of the values of a key, the other columns. may_fail: a run can end with an error, its
+    reason is then in the column `failed`.
     """
-    for key in keys:
-        if key not in table:
-            row: dict[str, object] = dict(zip(table.key, key, strict=True))
+    about = f"remake: {remake} (rows in this table are not computed again)"
+    table = StudyTable(TABLES / f"{name}.csv", key, about)
+    for values in keys:
+        if values not in table:
+            row: dict[str, object] = dict(zip(key, values, strict=True))
             try:
-                row |= row_of(*key)
+                row |= row_of(*values)
+                if may_fail:
+                    row["failed"] = ""
             except ColdsprayError as problem:
-                if "failed" not in table.columns:
+                if not may_fail:
                     raise
-                row["failed"] = " ".join(str(problem).split())[:200]
+                row["failed"] = reason(problem)
             print(*filter(None, table.add(row).values()), sep=" | ", flush=True)
+    return table
 
 
-def measurements(section: str) -> dict[str, Any]:
-    """A table of workflows/measurements.toml: measured values, how they were read, and what was fixed before the runs."""
-    known: dict[str, Any] = tomllib.loads((ROOT / "workflows" / "measurements.toml").read_text(encoding="utf-8"))
+def reason(problem: Exception) -> str:
+    """What a table says of an error, in one line."""
+    return " ".join(str(problem).split())[:200]
+
+
+def measurements(section: str, file: str = "measurements") -> dict[str, Any]:
+    """A table of workflows/FILE.toml: measured values, how they were read, and what was fixed before the runs; or scenes."""
+    known: dict[str, Any] = tomllib.loads((ROOT / "workflows" / f"{file}.toml").read_text(encoding="utf-8"))
     return known[section]  # type: ignore[no-any-return]
-
-
-def study_table(name: str, columns: Sequence[str], key: Sequence[str], remake: str) -> StudyTable:
-    """The table docs/tables/NAME.csv of a study that can be resumed. remake: the command."""
-    return StudyTable(
-        TABLES / f"{name}.csv", columns, key, f"remake: {remake} (rows in this table are not computed again)"
-    )
 
 
 def table_rows(name: str) -> list[Row]:
@@ -86,13 +98,23 @@ def options(about: str, *switches: str, **values: object) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def single_impact(
-    metal: str, diameter: float, velocity: float, base: str = "SS304", spacing: float = 0.0, more: str = ""
-) -> str:
-    """The scene of one impact: diameter and spacing um (that of the preset if 0), velocity m/s; more: further tables."""
-    points = f'[resolution]\nspacing = "{spacing!r} um"\n' if spacing else ""
-    particle = f'[[particle]]\nmaterial = "{metal}"\ndiameter = "{diameter:g} um"\nvelocity = "{velocity:g} m/s"\n'
-    return f'{particle}[substrate]\nmaterial = "{base}"\n{points}{more}'
+def impact_tables(
+    metal: str,
+    diameter: float,
+    velocity: float,
+    base: str = "SS304",
+    size: tuple[float, float] = (200.0, 100.0),
+    spacing: float = 0.0,
+    **particle: object,
+) -> dict[str, Any]:
+    """The tables of a scene of one impact. diameter um, velocity m/s; size: diameter and height of the target, um; spacing: um, that of
+    the preset if 0; particle: further keys of its table."""
+    width, height = size
+    return {
+        "particle": {"material": metal, "diameter": f"{diameter:g} um", "velocity": f"{velocity:g} m/s", **particle},
+        "substrate": {"material": base, "diameter": f"{width:g} um", "height": f"{height:g} um"},
+        "resolution": {"spacing": f"{spacing!r} um"} if spacing else {},
+    }
 
 
 @contextmanager
@@ -114,14 +136,11 @@ def reference(now: Callable[[], float] = time.perf_counter) -> float:
     """Seconds of a loop in numpy that fits into the cache of one core, the fastest of a few: times over it compare between machines."""
     a = np.random.default_rng(1).standard_normal((200, 200))
 
-    def once() -> float:
-        start = now()
-        for _ in range(40):
-            a.T.copy().sum()
-            np.sqrt(np.abs(a)).sum()
-        return now() - start
+    def work() -> None:
+        a.T.copy().sum()
+        np.sqrt(np.abs(a)).sum()
 
-    return min(once() for _ in range(5))
+    return min(timeit.repeat(work, number=40, repeat=5, timer=now))
 
 
 def machine() -> str:
@@ -137,6 +156,11 @@ def number(row: Mapping[str, str], column: str) -> float:
 def column(rows: Iterable[Mapping[str, str]], name: str) -> NDArray[np.float64]:
     """A column of a table as numbers (k,), nan where there is none."""
     return np.array([number(row, name) for row in rows])
+
+
+def with_error(value: float, error: float, digits: int) -> str:
+    """A value and its error, without the error where it is not known."""
+    return f"{value:.{digits}f}" + (f" ± {error:.{digits}f}" if math.isfinite(error) else "")
 
 
 def markdown(

@@ -4,15 +4,12 @@ Types, units, limits and defaults are those of the models; the descriptions are 
 """
 
 import dataclasses
+import json
+import re
 import sys
-import types
-import typing
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-from annotated_types import Ge, Gt, Le, Lt
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
 
 from coupler import units
 from coupler.physics import materials
@@ -20,9 +17,10 @@ from coupler.physics.strength import LAWS, Parameter
 from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
 from coupler.scene.json_schema import words
-from coupler.scene.tables import Quantity, Section
 from coupler.spray import nozzles
 
+Entry = Mapping[str, Any]  # of a key in the schema
+SCHEMA = Scene.model_json_schema()
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 DEFAULTS = {  # numbers of the plan, in words
     "preset": ": points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
@@ -62,7 +60,8 @@ def main(path: Path = PAGE) -> None:
 
 def page() -> str:
     """The page as Markdown."""
-    known = "; ".join(f"{name} `{'` `'.join(known)}`" for name, known in _units())
+    used = {units.dimension_of(unit) for unit in re.findall(r'"unit": "(.*?)"', json.dumps(SCHEMA))}
+    known = (f"{name} `{'` `'.join(of)}`" for name, (_, of) in units._DIMENSIONS.items() if name in used)
     lines = [
         f"""# A scene, key by key
 
@@ -71,20 +70,17 @@ def page() -> str:
 A scene is a TOML file. Values with a unit are texts, `"25 um"`, in any unit of the same dimension. The `scene.toml` of a run
 holds every default written out.
 
-Units: {known}.
+Units: {"; ".join(known)}.
 """
     ]
-    top, tables = [], []
-    for name, info in Scene.model_fields.items():
-        key, model = info.alias or name, _section(info.annotation)
-        if model is not None:
-            tables.append((key, model))
-        elif name not in ("materials", "nozzles"):
-            top.append((key, info))
-    lines += ["## Before the first table", "", *_table("", top)]
-    for key, model in tables:
-        lines += [f"## `[{key}]`", "", words(f"{key}.about"), ""]
-        lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
+    for name, table in tables():
+        lines += [f"## `[{name}]`", "", words(f"{name}.about")] if name else ["## Before the first table"]
+        lines += ["", "| key | values | default | |", "|---|---|---|---|"]
+        for key, entry in table["properties"].items():
+            full = f"{name}.{key}" if name else key
+            default = "needed" if key in table["required"] else "" if full == "name" else _default(entry)
+            lines.append(f"| `{key}` | {_values(entry)} | {default} | {words(full)}{DEFAULTS.get(full, '')} |")
+        lines.append("")
     own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
     lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
               *_plain(materials.Material, materials.DEFAULTS, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
@@ -94,26 +90,24 @@ Units: {known}.
     return "\n".join(lines).rstrip() + "\n"
 
 
+def tables() -> Iterator[tuple[str, Entry]]:
+    """The tables of a scene by name, "" for the keys before the first, each with its `properties` and the `required` ones."""
+    top, found = dict[str, Entry](), dict[str, Entry]()
+    for name, entry in SCHEMA["properties"].items():
+        if of := re.search(r"#/\$defs/(\w+)", json.dumps(entry)):
+            found[name] = {"required": (), **SCHEMA["$defs"][of[1]]}
+        elif name not in ("materials", "nozzles"):
+            top[name] = entry
+    yield "", {"properties": top, "required": ()}
+    yield from found.items()
+
+
 def missing_words() -> list[str]:
     """Keys of a scene that have no words."""
-    keys = []
-    for name, info in Scene.model_fields.items():
-        model = _section(info.annotation)
-        above = info.alias or name
-        keys += [f"{above}.{key}" for key in model.model_fields] if model else [above]
-    keys = [key for key in keys if not words(key) and key not in ("materials", "nozzles")]
+    keys = [f"{name}.{key}" if name else key for name, table in tables() for key in table["properties"]]
     for kind in (materials.Material, nozzles.Nozzle):
-        own = (f"{kind.__name__.lower()}.{field.name}" for field in dataclasses.fields(kind) if field.name != "name")
-        keys += [key for key in own if not words(key)]
-    return keys
-
-
-def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
-    lines = ["| key | values | default | |", "|---|---|---|---|"]
-    for key, info in fields:
-        default = "" if key == "name" else _default(info)
-        lines.append(f"| `{key}` | {_takes(info)} | {default} | {words(above + key)}{DEFAULTS.get(above + key, '')} |")
-    return [*lines, ""]
+        keys += [f"{kind.__name__.lower()}.{field.name}" for field in dataclasses.fields(kind) if field.name != "name"]
+    return [key for key in keys if not words(key)]
 
 
 def _plain(kind: Any, defaults: dict[str, Any], unit_of: Any) -> list[str]:
@@ -148,92 +142,40 @@ def _parameter(key: str, parameter: Parameter) -> str:
     return f"`{key}`{f' ({about})' if about else ''} {parameter.about}"
 
 
-def _units() -> list[tuple[str, list[str]]]:
-    used = {units.dimension_of(q.unit) for q in _quantities(Scene)}
-    return [(name, list(known)) for name, (_, known) in units._DIMENSIONS.items() if name in used]
+def _values(entry: Entry) -> str:
+    """What a key can be."""
+    choices = [choice for choice in entry.get("anyOf", [entry]) if choice.get("type") != "null"]
+    if "unit" in choices[0]:
+        return str(choices[0]["description"]) + (", or pairs" if len(choices) > 1 else "")
+    if choices[0] is not entry:
+        return " or ".join(dict.fromkeys(_values(choice) for choice in choices))
+    if "enum" in entry:
+        return " ".join(f"`{value}`" for value in entry["enum"])
+    if "prefixItems" in entry:
+        return f"two of {_values(entry['prefixItems'][0])}"
+    if entry["type"] == "array":
+        return "tables" if "$ref" in entry["items"] else "a list of texts"
+    kinds = {"string": "a text", "number": "a number", "integer": "a whole number", "object": "a table"}
+    limits = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+    bounds = (f"{word} {_written(entry[name])}" for name, word in limits.items() if name in entry)
+    return " ".join([kinds.get(entry["type"], "`true` `false`"), *bounds])
 
 
-def _quantities(model: type) -> list[Quantity]:
-    quantities: list[Quantity] = []
-    for info in model.model_fields.values():  # type: ignore[attr-defined]
-        inner, own = _section(info.annotation), _quantity(info)
-        quantities += _quantities(inner) if inner else [own] if own else []
-    return quantities
-
-
-def _section(annotation: Any) -> type[Section] | None:
-    """The model of a table, also of a list of tables or an optional one."""
-    for kind in (annotation, *typing.get_args(annotation)):
-        if isinstance(kind, type) and issubclass(kind, Section):
-            return kind
-    return None
-
-
-def _quantity(info: FieldInfo) -> Quantity | None:
-    """The unit and limits of a field, of each item of a tuple too, and of one that hangs on the size."""
-    inner = [item for arg in typing.get_args(info.annotation) for item in getattr(arg, "__metadata__", ())]
-    for item in (*info.metadata, *inner):
-        quantity = getattr(item, "of", item)
-        if isinstance(quantity, Quantity):
-            return quantity
-    return None
-
-
-def _takes(info: FieldInfo) -> str:
-    quantity = _quantity(info)
-    if quantity is not None:
-        text = f"{quantity.low} to {quantity.high}"
-        several = "or pairs" if any(hasattr(item, "of") for item in info.metadata) else ""
-        two = "two of " if typing.get_origin(info.annotation) is tuple and not several else ""
-        return f"{two}{text}{', ' + several if several else ''}"
-    words = _kinds(info.annotation)
-    limits = [
-        f"{sign} {_written(getattr(item, name), None)}"
-        for item in info.metadata
-        for kind, name, sign in ((Ge, "ge", "from"), (Gt, "gt", "above"), (Le, "le", "to"), (Lt, "lt", "below"))
-        if isinstance(item, kind)
-    ]
-    return " ".join([words, *limits])
-
-
-def _kinds(annotation: Any) -> str:
-    origin = typing.get_origin(annotation)
-    if origin is typing.Literal:
-        return " ".join(f"`{value}`" for value in typing.get_args(annotation))
-    if origin in (typing.Union, types.UnionType):
-        kinds = [_kinds(kind) for kind in typing.get_args(annotation) if kind is not type(None)]
-        return " or ".join(dict.fromkeys(kinds))
-    if origin is typing.Annotated:
-        return _kinds(typing.get_args(annotation)[0])
-    if origin is list:
-        return "a list of texts"
-    if origin is tuple:
-        return "tables" if _section(annotation) else "a list of texts"
-    if origin is dict:
-        return "a table"
-    return {str: "a text", float: "a number", int: "a whole number", bool: "`true` `false`"}[annotation]
-
-
-def _default(info: FieldInfo) -> str:
-    if info.is_required():
-        return "needed"
-    value = info.get_default(call_default_factory=True)
-    quantity = _quantity(info)
-    if value is None or value is PydanticUndefined:
+def _default(entry: Entry) -> str:
+    value, quantity = entry.get("default"), entry.get("prefixItems", [entry])[0]
+    if value is None:
         return ""
-    if isinstance(value, tuple):
-        return ", ".join(f"`{_written(item, quantity)}`" for item in value)
     if isinstance(value, dict):
         return "`{ " + ", ".join(f"{name} = {item:g}" for name, item in value.items()) + " }`"
-    return f"`{_written(value, quantity)}`"
+    items = value if isinstance(value, list) else [value]
+    if "unit" in quantity:
+        return ", ".join(f"`{units.rounded(item, quantity['unit'], 8)}`" for item in items)
+    return ", ".join(f"`{_written(item)}`" for item in items)
 
 
-def _written(value: Any, quantity: Quantity | None) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if quantity is not None:
-        return units.rounded(value, quantity.unit, 8)
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def _written(value: object) -> str:
+    """A value without a unit, as in TOML."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 if __name__ == "__main__":

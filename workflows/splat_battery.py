@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
-from pages import EVIDENCE, fill, markdown, options, spent, study_table, write_parts
+from pages import EVIDENCE, markdown, options, spent, study, write_parts
 
 from coupler.errors import SplatError
 from coupler.geometry.sections import crossing, section_of_tets
@@ -23,16 +23,9 @@ from coupler.particle import packing
 from coupler.report.picture import blank, save
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
-from coupler.studies.table import Row, StudyTable
+from coupler.studies.table import Row
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
-COLUMNS = [
-    "cloud", "kind", "points", "size_over_spacing", "used", "result", "bodies", "lost_mass", "tets", "volume_before",
-    "moved_spacings", "gamma_min", "gamma_mean", "dihedral_deg", "step_over_size", "width", "top_spacings", "outside_half",
-    "outside_max", "T_raw", "eps_p_raw", "energy_raw", "momentum", "angular_momentum", "kinetic", "stress_square", "cpu_s",
-    "wall_s", "failed_tries",
-]  # fmt: skip
-KEY = ("cloud", "size_over_spacing")
 CLOUDS = Path(tempfile.gettempdir()) / "splat_battery"
 KINDS = {"impact": "impacts", "synthetic": "synthetic", "splat": "splats of runs"}
 DRAWN = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, synthetic"}
@@ -79,9 +72,9 @@ def warm_up() -> None:
     convert(Cloud(x, np.full(len(x), volume), spacing, 1.0, J=np.ones(len(x))), SIZE_OVER_SPACING * spacing)
 
 
-def row_of(name: str, kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
+def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     """Convert one cloud; its line of the table."""
-    row: dict[str, Any] = dict(zip(COLUMNS, (name, kind, len(cloud.x), ratio), strict=False))
+    row: dict[str, Any] = {"kind": kind, "points": len(cloud.x)}
     before = spent()
     try:
         splat = convert(cloud, ratio * cloud.spacing)
@@ -103,17 +96,19 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     return row
 
 
-def compute(only: str, folder: Path, table: StudyTable) -> None:
-    """Convert the clouds that the table lacks."""
-    warm_up()
+def compute(folder: Path, only: str, docs: bool) -> list[Row]:
+    """The rows of the table, with those that it lacks of the clouds with `only` in their names; docs: convert none."""
     clouds = {name: each for name, each in splat_clouds.every().items() if only in name}
 
     def convert_one(name: str, ratio: str) -> dict[str, Any]:
         kind, make = clouds[name]
-        return row_of(name, kind, cloud_of(name, folder, make), float(ratio))
+        return row_of(kind, cloud_of(name, folder, make), float(ratio))
 
     keys = ((name, f"{ratio:g}") for name in clouds for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())))
-    fill(table, keys, convert_one)
+    if not docs:
+        warm_up()
+    remake = "OMP_NUM_THREADS=1 python workflows/splat_battery.py"
+    return study("splats", ("cloud", "size_over_spacing"), remake, () if docs else keys, convert_one).rows
 
 
 def part(rows: Sequence[Row]) -> list[str]:
@@ -167,11 +162,9 @@ def draw(folder: Path, path: Path) -> None:
 def main() -> None:
     """Make what is missing of the clouds and of the table; write figure and page."""
     a = options(__doc__, "docs", clouds=CLOUDS, only="")
-    table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
-    if not a.docs:
-        compute(a.only, a.clouds, table)
+    rows = compute(a.clouds, a.only, a.docs)
     draw(a.clouds, EVIDENCE / "splats.png")
-    write_parts("splats", {"battery": part(table.rows)})
+    write_parts("splats", {"battery": part(rows)})
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import EVIDENCE, ROOT, TABLES, column, fill, options, study_table, table_rows, write_table
+from pages import EVIDENCE, ROOT, TABLES, column, options, study, table_rows, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
@@ -100,14 +100,14 @@ def _linear_hardening(law: dict[str, float]) -> Any:
     )  # fmt: skip
 
 
-def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enriched") -> dict[str, Any]:
+def taylor_bar(points: int | str, numerics: Numerics = NUMERICS, engine: str = "enriched") -> dict[str, Any]:
     """One bar of about `points` points, from first touch to 80 us: lengths mm, temperature C, energies over the initial kinetic one.
 
     diameter: of the circle with the area of the foot seen along the axis; diameter_largest: twice the largest radius.
     """
     started = clock.perf_counter()
     steel = material("42CrMo4")
-    body = shapes.cylinder(DIAMETER, LENGTH, points)
+    body = shapes.cylinder(DIAMETER, LENGTH, int(points))
     place = np.array([0.0, 0.0, body.half_height])
     law = law_record(steel, rate_filter=RATE_FILTER_OVER_CROSSING * DIAMETER / VELOCITY)
     bar = ENGINES[engine](body.points + place, body.volume, law, (0.0, 0.0, -VELOCITY), TEMPERATURE, numerics=numerics)
@@ -146,16 +146,6 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
     return result
 
 
-def of_points() -> None:
-    """Compute the bars of points that the table lacks."""
-    columns = (
-        "asked", "engine", "points", "spacing_mm", "length_mm", "diameter_mm", "diameter_largest_mm", "T_max_C", "eps_p_max",
-        "eps_p_p99", "plastic", "numerical", "drift", "steps", "wall_s",
-    )  # fmt: skip
-    table = study_table("taylor_bar_sph", columns, ("asked",), "python workflows/taylor_bar.py")
-    fill(table, ((str(count),) for count in POINTS), lambda count: taylor_bar(int(count)))
-
-
 def of_elements() -> None:
     """Compute all bars of elements and write their table."""
     rows: list[dict[str, object]] = []
@@ -192,7 +182,7 @@ def main() -> None:
     a = options(__doc__, "docs")
     if not a.docs:
         of_elements()
-        of_points()
+        study("taylor_bar_sph", ("asked",), "python workflows/taylor_bar.py", ((f"{n}",) for n in POINTS), taylor_bar)
     draw()
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import validation_figures as figures
 import validation_page as page
 from numpy.typing import NDArray
-from pages import TABLES, computed, options, study_table, write_table
+from pages import TABLES, computed, options, reason, study, write_table
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
@@ -51,30 +51,20 @@ MEASURES = {
     "plastic_radius_um": ("own", "plastic_radius_m", 1e6), "eps_p_mean": ("own", "eps_p_mean", 1.0),
     "eps_p_max": ("own", "eps_p_max", 1.0), "T_p99": ("own", "T_p99_K", 1.0), "T_max": ("own", "T_max_K", 1.0),
 }  # fmt: skip
-COLUMNS = (
-    "run", "impact", "engine", "material", "temperature_K", *MEASURES, "widest_um_end", "strained_radius_um", "contact_pressure_MPa",
-    "run_cpu_s", "failed",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run. name: its key in the tables; text: its scene; start: temperature of the particle, K."""
+    """One run. name: its key in the tables; start: temperature of the particle, K."""
 
     name: str
-    text: str
+    scene: Scene
     start: float = 300.0
 
 
-def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
-    """The text of a scene of this folder with another preset, and other values of its (first) particle: velocity="413 m/s"."""
-    text = (HERE / f"{workflow}.toml").read_text().replace('preset = "standard"', f'preset = "{preset}"')
-    for key, value in particle.items():
-        head, key_there, rest = text.partition(f'\n{key} = "')
-        if not key_there:
-            raise SystemExit(f"{workflow}.toml has no line {key} = ...")
-        text = head + key_there + value + rest[rest.index('"') :]
-    return text
+def scene_of(workflow: str, preset: str = "standard", **tables: object) -> Scene:
+    """A scene of this folder at a preset, with changes of its tables."""
+    return Scene.load(HERE / f"{workflow}.toml").with_(preset=preset, **tables)
 
 
 def cases() -> Iterator[Case]:
@@ -84,14 +74,14 @@ def cases() -> Iterator[Case]:
 
 def pairs() -> Iterator[Case]:
     """Two nickel particles of 25 um, one onto the other, and single ones that stay, for 150 ns: figures 6 and 8 to 10 of the paper."""
-    stays = '\n[adhesion]\nkind = "tied"\ncriterion = "plastic_strain"\nthreshold = 0.01\n'
-    both = scene_of("double_ni_ti").replace('"Ti"', '"Ni"').replace('"30 um"', '"25 um"')
-    old = 'velocity = "500 m/s"\ntemperature = "300 K"'
+    stays = {"kind": "tied", "criterion": "plastic_strain", "threshold": 0.01}
     for v, T in page.PAPER["double_Ni"]["impacts"]:
-        name, new = f"{v:.0f}-{T:.0f}K", f'velocity = "{v:.0f} m/s"\ntemperature = "{T:.0f} K"'
-        yield Case(f"Ni-Ni-{name}", both.replace(old, new), T)
-        alone = scene_of("single_ni", velocity=f"{v:.0f} m/s", temperature=f"{T:.0f} K")
-        yield Case(f"Ni-{name}", alone.replace('at = "rest"', 'time = "150 ns"') + stays, T)
+        name, new = f"{v:.0f}-{T:.0f}K", {"velocity": f"{v:.0f} m/s", "temperature": f"{T:.0f} K"}
+        yield Case(
+            f"Ni-Ni-{name}", scene_of("double_ni_ti", particle={"material": "Ni", "diameter": "25 um", **new}), T
+        )
+        alone = scene_of("single_ni", particle=new, adhesion=stays, end={"at": None, "time": "150 ns"})
+        yield Case(f"Ni-{name}", alone, T)
 
 
 def scatter() -> Iterator[Case]:
@@ -105,19 +95,19 @@ def scatter() -> Iterator[Case]:
         angle = 2 * np.pi * u[3]  # of the third to the second
         samples.append((first, (second, 0.0), (third * np.cos(angle), third * np.sin(angle))))
     for k, (first, *places) in enumerate(samples):
-        text = scene_of("triple_ni", "draft")
-        for nominal, ratio, (x, y) in zip((500, 546, 610), RATIOS, [(0.0, 0.0), *places], strict=True):
-            line = f'velocity = "{first * ratio:.1f} m/s"\noffset = ["{x:.3f} um", "{y:.3f} um"]'
-            text = text.replace(f'velocity = "{nominal} m/s"', line)
-        yield Case(f"D-scatter-{k}", text)
+        particles = [
+            {"velocity": f"{first * ratio:.1f} m/s", "offset": [f"{x:.3f} um", f"{y:.3f} um"]}
+            for ratio, (x, y) in zip(RATIOS, [(0.0, 0.0), *places], strict=True)
+        ]
+        yield Case(f"D-scatter-{k}", scene_of("triple_ni", "draft", particle=particles))
 
 
 def spread() -> Iterator[Case]:
     """Cases A and B at the ends and the mean of the measured impact velocities, and A on steel without its rate term, coarse."""
-    yield Case("no-rate", scene_of(CASES["A"], "draft") + "\n[materials.SS304]\nC = 0.0\n")
+    yield Case("no-rate", scene_of(CASES["A"], "draft", materials={"SS304": {"C": 0.0}}))
     for letter, speeds in SPREAD.items():
         for v in speeds:
-            yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", velocity=f"{v} m/s"))
+            yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", particle={"velocity": f"{v} m/s"}))
 
 
 def trends() -> Iterator[Case]:
@@ -126,21 +116,14 @@ def trends() -> Iterator[Case]:
     grid |= {(25, v, 300) for v in VELOCITIES} | {(25, 500, T) for T in TEMPERATURES}
     for d, v, T in sorted(grid):
         particle = {"diameter": f"{d} um", "velocity": f"{v} m/s", "temperature": f"{T} K"}
-        text = scene_of("single_ni", "draft", **particle)
         # the cylinder of the other runs, 200 x 100 um, is too small for the largest: `check` says so
-        yield Case(f"{d}um-{v}-{T}K", in_proportion(text, d) if d > 50 else text, T)
-
-
-def in_proportion(text: str, diameter: int) -> str:
-    """A scene with a target as large, against the particle's diameter (um), as that of a 25 um one."""
-    text = text.replace('diameter = "200 um"', f'diameter = "{8 * diameter} um"')
-    return text.replace('height = "100 um"', f'height = "{4 * diameter} um"')
+        size = {"diameter": f"{8 * d} um", "height": f"{4 * d} um"} if d > 50 else {}
+        yield Case(f"{d}um-{v}-{T}K", scene_of("single_ni", "draft", particle=particle, substrate=size), T)
 
 
 def shapes() -> Iterator[Case]:
     """Three impacts of each of the six shapes."""
-    text = scene_of("morphology", "draft")
-    yield from (Case(f"shape-{name}", text.replace('"rod"', f'"{name}"')) for name in SHAPES)
+    yield from (Case(f"shape-{name}", scene_of("morphology", "draft", particle={"shape": name})) for name in SHAPES)
 
 
 def widest(points: NDArray) -> float:
@@ -179,7 +162,6 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     # splats in several parts, or lost ones, cannot be told from each other by their order: no width then
     at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
     times, radius = result.times("surface"), strained_radius(result) * 1e6
-    scene = Scene.from_text(case.text, case.name)
     for k, impact in enumerate(impacts):
         end = impact["end"]
         when += end["time_s"]
@@ -187,14 +169,13 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
         at_end[len(impacts) - 1] = widest(f.points)
         records = {"impact": impact, "own": end, "end": impact.get("at_end", end)}
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "engine": scene.resolution.engine, "material": impact["material"],
-            "temperature_K": case.start, "strained_radius_um": radius, "failed": "",
+            "run": case.name, "impact": k + 1, "engine": case.scene.resolution.engine, "material": impact["material"],
+            "temperature_K": case.start,
         }  # fmt: skip
         row |= {
             name: record[key] * by for name, (of, key, by) in MEASURES.items() if (record := records[of]) is not None
         }
-        if k in at_end:
-            row["widest_um_end"] = at_end[k] * 1e6
+        row |= {"widest_um_end": at_end[k] * 1e6 if k in at_end else "", "strained_radius_um": radius}
         rows.append(row)
     return rows
 
@@ -227,19 +208,20 @@ class PressureProbe:
 
 def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
     """Compute the runs that a table lacks, or RUNS where they are kept."""
-    table = study_table(name, COLUMNS, ("run", "impact"), "make validate")
+    table = study(name, ("run", "impact"), "make validate")
     for case in cases:
         folder = RUNS / case.name if keep else None
         if (case.name, "1") in table and (folder is None or (folder / "summary.json").is_file()):
             continue
         try:
             probe = PressureProbe()
-            with computed(Scene.from_text(case.text, case.name), folder, probe=probe) as (result, cpu):
-                rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
+            with computed(case.scene, folder, probe=probe) as (result, cpu):
+                rows = [
+                    {**row, "contact_pressure_MPa": "", "run_cpu_s": cpu, "failed": ""} for row in rows_of(case, result)
+                ]
             rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
-            reason = " ".join(str(problem).split())[:200]
-            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": reason}]
+            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": reason(problem)}]
         shown = ("run", "impact", "flattening_own", "flattening_end", "run_cpu_s", "failed")
         for row in rows:
             new = table.add(row)

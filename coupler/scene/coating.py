@@ -73,7 +73,7 @@ class PowderTable(Section):
     velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(VELOCITY)] = None
     velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
     temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(KELVIN)] = None
-    shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
+    shapes: dict[str, StrictFloat | StrictInt] = Field({"sphere": 1.0})
     files: str | None = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None

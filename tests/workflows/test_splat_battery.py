@@ -2,6 +2,7 @@
 
 import numpy as np
 import splat_battery
+from pages import table_rows
 from splat_clouds import D
 
 from coupler.particle import packing
@@ -12,8 +13,8 @@ def test_a_row_has_the_measures_of_the_conversion() -> None:
     x, volume = packing.sphere(D, 200)
     spacing = volume ** (1.0 / 3.0)
     cloud = Cloud(x, np.full(len(x), volume), spacing, 1.0, J=np.ones(len(x)))
-    row = splat_battery.row_of("sphere", "synthetic", cloud, splat_battery.SIZE_OVER_SPACING)
-    assert set(row) <= set(splat_battery.COLUMNS)
+    row = splat_battery.row_of("synthetic", cloud, splat_battery.SIZE_OVER_SPACING)
+    assert set(row) <= set(table_rows("splats")[0])
     assert row["result"] == "meshed"
     assert row["bodies"] == 1
     assert row["gamma_min"] > 0.2  # of a ball by HXT; a sliver has 0

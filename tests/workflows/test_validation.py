@@ -5,7 +5,7 @@ import pytest
 import validate
 import validation_page
 
-from coupler.plan.reading import Scene
+from coupler.errors import SceneError
 
 
 def splats(method: str) -> list[validation_page.Splat]:
@@ -40,8 +40,6 @@ def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds() -> None:
     wanted = [case for part in parts for case in part()]
     assert len({case.name for case in wanted}) == len(wanted)
     for case in wanted:
-        scene = Scene.from_text(case.text, case.name)
-        first = scene.particles[0] if hasattr(scene, "particles") else scene.particle
-        assert first.temperature == case.start
-    with pytest.raises(SystemExit, match="no line colour"):
-        validate.scene_of("single_ni", colour="red")
+        assert case.scene.particles[0].temperature == case.start
+    with pytest.raises(SceneError, match="colour"):
+        validate.scene_of("single_ni", particle={"colour": "red"})
