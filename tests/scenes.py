@@ -76,6 +76,18 @@ def scene(
     return "".join(lines) + more
 
 
+SMALL = """
+[particle]
+material = "Ni"
+diameter = "10 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+diameter = "60 um"
+height = "30 um"
+[end]
+time = "3 ns"
+"""
 NI = scene(("Ni", 25, 500), every=2)  # 300 points, to its end at about 50 ns
 TINY = {"spacing": 3.4, "element_size": 6.0, "diameter": 100, "height": 50}
 WHOLE = scene(("Ni", 25, 500), **TINY, every=5)  # 200 points, to its end at about 50 ns

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..core.cores import cores
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import reading
+from ..files.inputs import last_lines, reading
 from ..files.result import HISTORY, Result
 from ..plan.job import Job, choose, from_text, processor_time
 from ..plan.planning import plan
@@ -20,7 +20,7 @@ from ..studies import coating_growth, pace
 from ..studies.job_numbers import Number, numbers
 from ..studies.job_parts import Coating
 from . import figures
-from .workspace import FINISHED, JOB, LOG, UNDECIDED, Row, Workspace, last_lines
+from .workspace import FINISHED, JOB, LOG, UNDECIDED, Row, Workspace
 
 _DRAWING = threading.Lock()  # matplotlib draws in one thread at a time
 

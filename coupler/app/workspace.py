@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from ..errors import ColdsprayError, StoreError
 from ..files import checkpoint
-from ..files.inputs import leaves, parse_toml, read_text, reading
+from ..files.inputs import last_lines, leaves, parse_toml, read_text, reading
 from ..files.outputs import kind_of, write_text
 from ..files.result import Result
 from ..report.words import title, verdict
@@ -231,10 +231,3 @@ def alive(folder: Path) -> bool:
     except OSError:
         return False
     return False
-
-
-def last_lines(path: Path, most: int = 1) -> str:
-    """The last lines of a text file, at most `most`; "" if the file does not exist."""
-    with suppress(StoreError):
-        return "\n".join(read_text(path).strip().splitlines()[-most:])
-    return ""

@@ -2,26 +2,17 @@
 
 import argparse
 import time
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import StoreError
-from ..files.inputs import read_text, reading
+from ..files.inputs import last_lines, reading
 from .arguments import Commands, add_command, add_force, path, seconds
 
 if TYPE_CHECKING:
     from ..files.result import Result
 
 SILENT = 60.0  # s without a new file, after which a run may be stopped
-# column of the history: label, factor, unit
-_SHOWN = {
-    "height": ("height above surface", 1e6, "um"), "crater_depth": ("crater depth", 1e6, "um"),
-    "velocity_z": ("velocity upwards", 1.0, "m/s"), "contact_force": ("contact force", 1e3, "mN"),
-    "eps_p_mean": ("mean plastic strain", 1.0, ""), "T_max": ("highest temperature, particle", 1.0, "K"),
-    "drift": ("energy drift", 100.0, "%"), "momentum_error": ("momentum error", 1.0, ""),
-}  # fmt: skip
 _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", "boundary", "bodies", "bond")
 
 
@@ -92,8 +83,10 @@ def _written(path: Path) -> float:
 def state(result: "Result") -> str:
     """Text: last line of the log, last row of the history, and the terms of the energy balance divided by the kinetic energy at the
     start of the impact."""
+    from ..report.words import last_row
+
     history = result.history() if (result.directory / "history.csv").is_file() else {}
-    lines = [_last_line(result.directory / "run.log")]
+    lines = [last_lines(result.directory / "run.log")]
     age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
     if age > SILENT:
         lines.append(
@@ -101,8 +94,7 @@ def state(result: "Result") -> str:
         )
     if not len(history.get("time", ())):
         return "\n".join([*lines, "the history has no row yet"])
-    lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}")
-    lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
+    lines += [f"  {label:30} {value} {unit}" for label, value, unit in last_row(history)]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
     parts = {}  # of a term in one column, or in a column for each domain
@@ -112,10 +104,3 @@ def state(result: "Result") -> str:
     lines.append("  energy, % of the particle's at the start of the impact: " + ", ".join(
         f"{name} {100.0 * value / whole:.3g}" for name, value in parts.items() if abs(value) > 1e-4 * whole))  # fmt: skip
     return "\n".join(lines)
-
-
-def _last_line(log: Path) -> str:
-    """The last line of a log; "" if there is none."""
-    with suppress(StoreError):
-        return (read_text(log).strip().splitlines() or [""])[-1]
-    return ""

@@ -10,7 +10,7 @@ import stat
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -102,6 +102,13 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
     except UnicodeDecodeError as error:
         reason = f"is not text in UTF-8 (byte {error.start}): save it in UTF-8, or give another file"
         raise InputError(path, reason) from None
+
+
+def last_lines(path: Path, most: int = 1) -> str:
+    """The last lines of a text file; "" for a file that cannot be read."""
+    with suppress(StoreError):
+        return "\n".join(read_text(path).strip().splitlines()[-most:])
+    return ""
 
 
 def parse_toml(text: str) -> dict[str, Any]:

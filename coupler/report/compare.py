@@ -16,7 +16,7 @@ from ..files.outputs import write_text
 from ..files.result import Result
 from ..measures import BALANCE
 from . import charts, parts, picture
-from .page import Page, embedded
+from .page import Page
 from .words import Line, errors_of, fill_table, plain, shown, table_lines, title
 
 MOST = 12  # runs that fit side by side
@@ -130,7 +130,7 @@ def comparison_page(results: Sequence[Result]) -> str:
     check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
-    image = f'<img src="{embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
+    image = f'<img src="{picture.embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Differences between the scenes", parts.table(["", *names], rows) if rows else "")

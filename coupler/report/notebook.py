@@ -1,12 +1,10 @@
 """A result in a notebook: verdict and measures, as on the terminal after a run, and the cross-section."""
 
-import base64
-import io
 from html import escape
 
 from ..files.inputs import reading
 from ..files.result import Result
-from .picture import section_figure
+from .picture import embedded, section_figure
 from .screen import screen
 from .words import title
 
@@ -37,6 +35,4 @@ def _reached(result: Result) -> str:
 
 
 def _section(result: Result) -> str:
-    picture = io.BytesIO()
-    section_figure(result).savefig(picture, format="png", dpi=_DPI)
-    return f'<img alt="section" src="data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}">'
+    return f'<img alt="section" src="{embedded(section_figure(result), _DPI)}">'

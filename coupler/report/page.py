@@ -1,7 +1,5 @@
 """The HTML report of one run: a single file that contains all its parts. Any browser opens it without a network."""
 
-import base64
-import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -87,7 +85,7 @@ def report(
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     conditions = parts.conditions(result)
     count, places = len(summary.get("impacts", [])), {tuple(body["offset"]) for body in result.plan.get("impacts", [])}
-    front = parts.front(summary) if summary else _so_far(history)
+    front = parts.front(summary) if summary else parts.so_far(history)
     if len(places) > 1 and coating:
         front = parts.definitions(coating) + (front if count <= parts.SIDE_BY_SIDE else "")
     front = f'<div class="two"><div>{front}</div>{conditions}</div>' if count < 2 else front + conditions
@@ -146,18 +144,6 @@ def picks(result: Result) -> list[int]:
     return sorted({int(np.argmin(np.abs(times - time))) for time in wanted} | {last})
 
 
-def embedded(figure: Figure) -> str:
-    """A figure of matplotlib as the data URL of a PNG image."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return image_of(stream.getvalue())
-
-
-def image_of(png: bytes) -> str:
-    """The data URL of a PNG image."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()
-
-
 FOOTER = "Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
 SOLID = """<div class="controls" id="solid-controls">
 <label>Colours <select id="field"></select></label>
@@ -207,17 +193,6 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
     return (f'<p id="verdict"><b>Verdict</b>: {lines}</p>' if decided else "") + state
 
 
-def _so_far(history: Mapping[str, NDArray]) -> str:
-    """A table with the last row of the history, for a run that has no summary yet."""
-    keys = {
-        "time": "time_s", "height": "height_m", "thickness": "thickness_m", "crater_depth": "crater_depth_m",
-        "velocity_z": "velocity_z_m_s", "T_max": "T_max_K", "eps_p_mean": "eps_p_mean", "drift": "energy_drift", "step": "steps",
-    }  # fmt: skip
-    known = {name: measure(key) for name, key in keys.items() if len(history.get(name, ()))}
-    rows = [(m.label, f"{history[name][-1] * m.factor:.4g}", m.unit) for name, m in known.items()]
-    return parts.table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
-
-
 def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
     """Pictures of the cross-section: one row for each time, one picture for each field. named: time (s) by label, for the
     captions."""
@@ -225,7 +200,7 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
-        panels = ((embedded(_panel(section, name, ends)), FIELDS[name].label) for name, ends in ranges.items())
+        panels = ((picture.embedded(_panel(section, name, ends)), FIELDS[name].label) for name, ends in ranges.items())
         images = "".join(f'<img src="{image}" alt="cut at {time}: {label}">' for image, label in panels)
         caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')

@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
+from numpy.typing import NDArray
+
 from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Result
@@ -70,6 +72,12 @@ def front(summary: Summary) -> str:
     return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
         f'<p class="caption">{note}</p>' if note else ""
     )
+
+
+def so_far(history: Mapping[str, NDArray]) -> str:
+    """The last row of the history, for a run without a summary."""
+    rows = words.last_row(history)
+    return table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
 
 
 def measures(summary: Summary) -> str:

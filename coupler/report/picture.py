@@ -1,5 +1,7 @@
 """Pictures of the cross-section through particle and target."""
 
+import base64
+import io
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -385,3 +387,15 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG. Raises StoreError if the file cannot be written."""
     with replacing(path) as part:
         figure.savefig(part, format="png", metadata={"Software": MARK})
+
+
+def embedded(figure: Figure, dpi: float | None = None) -> str:
+    """A figure as the data URL of a PNG. dpi: by default that of the figure."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi or figure.dpi)
+    return image_of(stream.getvalue())
+
+
+def image_of(png: bytes) -> str:
+    """The data URL of a PNG."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()

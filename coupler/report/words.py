@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
@@ -20,6 +21,7 @@ from ..measures import (
     REBOUNDS,
     STICKS,
     UNDECIDED,
+    Measure,
     axis_label,
     measure,
 )
@@ -270,6 +272,20 @@ def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
             runs.append([number])
     text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
     return f"{name}{'s' * (len(numbers) > 1)} {text}"
+
+
+_OF_ROW = {  # column of the history -> its measure
+    "time": "time_s", "step": "steps", "height": "height_m", "thickness": "thickness_m", "crater_depth": "crater_depth_m",
+    "velocity_z": "velocity_z_m_s", "T_max": "T_max_K", "eps_p_mean": "eps_p_mean", "drift": "energy_drift",
+    "momentum_error": "momentum_error",
+}  # fmt: skip
+
+
+def last_row(history: Mapping[str, NDArray]) -> list[tuple[str, str, str]]:
+    """The last row of the history of a run that is not finished: label, value and unit of each measure; empty before the first row."""
+    known = {name: measure(key) for name, key in _OF_ROW.items()}
+    known["contact_force"] = Measure("contact_force", unit="mN", factor=1e3)
+    return [(m.label, f"{history[k][-1] * m.factor:.4g}", m.unit) for k, m in known.items() if len(history.get(k, ()))]
 
 
 def _label(path: str) -> str:

@@ -18,8 +18,8 @@ from ..plan.job import Job, choose
 from ..plan.reading import Scene
 from ..plan.text import duration
 from ..report import parts
-from ..report.page import Page, embedded, image_of
-from ..report.picture import blank
+from ..report.page import Page
+from ..report.picture import blank, embedded, image_of
 from . import coating_files
 from .coating import read
 from .job_numbers import BAND, Number, numbers, record

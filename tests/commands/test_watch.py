@@ -20,7 +20,7 @@ def test_an_unfinished_run_is_shown_as_far_as_it_is(
     before = {path.name: path.stat().st_mtime_ns for path in copy.iterdir()}
     assert main(["watch", str(copy), "--once"]) == 0
     text = capsys.readouterr().out
-    assert f"{result.sim_time_s * 1e9:.1f} ns" in text
+    assert f"{result.sim_time_s * 1e9:.4g} ns" in text
     for words in ("crater depth", "energy drift", "kinetic", "plastic"):
         assert words in text
     assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes
 from scenes import scene_with, several
 
 from coupler import Result, Scene, run
@@ -21,20 +22,7 @@ from coupler.plan.refinement import companions as companions_of
 from coupler.report.words import error_note
 
 H = np.array([1000.0, 500.0, 250.0]) ** (-1.0 / 3.0)
-SMALL = """
-[particle]
-material = "Ni"
-diameter = "10 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-diameter = "60 um"
-height = "30 um"
-[resolution]
-spacing = "0.9 um"
-[end]
-time = "2 ns"
-"""
+SMALL = scenes.SMALL.replace("3 ns", "2 ns") + '[resolution]\nspacing = "0.9 um"\n'
 
 
 @pytest.mark.parametrize("p", [0.6, 1.0, 1.7])

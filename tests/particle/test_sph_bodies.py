@@ -1,14 +1,13 @@
 """The particle domain against closed forms and against what others published: rings, beams, spheres, a Taylor bar."""
 
-import importlib.util
 import tomllib
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import elastic
+from taylor_bar import taylor_bar  # workflows/taylor_bar.py
 
 from coupler.contact.contact import Contact
 from coupler.contact.law import stiffness
@@ -253,7 +252,7 @@ def test_two_elastic_spheres_bounce() -> None:
 @pytest.mark.slow
 def test_taylor_bar_of_dynela_and_abaqus() -> None:
     """4000 points: length and mushroom within 1 %; docs/tables/taylor_bar_sph.csv has other resolutions."""
-    bar, known = program().taylor_bar(4000), PUBLISHED["taylor_bar"]
+    bar, known = taylor_bar(4000), PUBLISHED["taylor_bar"]
     for other in ("dynela", "abaqus"):
         assert bar["length_mm"] == pytest.approx(known["length_mm"][other], rel=0.01)
         assert bar["diameter_mm"] == pytest.approx(known["diameter_mm"][other], rel=0.01)
@@ -263,7 +262,7 @@ def test_taylor_bar_of_dynela_and_abaqus() -> None:
 
 
 def test_a_coarse_taylor_bar() -> None:
-    bar = program().taylor_bar(500)
+    bar = taylor_bar(500)
     assert bar["length_mm"] == pytest.approx(PUBLISHED["taylor_bar"]["length_mm"]["abaqus"], rel=0.01)
     assert abs(bar["drift"]) < 1e-3
 
@@ -271,16 +270,7 @@ def test_a_coarse_taylor_bar() -> None:
 @pytest.mark.slow
 def test_both_engines_have_the_same_taylor_bar() -> None:
     """To what rounding becomes in it."""
-    bar, other = (program().taylor_bar(500, engine=engine) for engine in ("compiled", "machdyn"))
+    bar, other = (taylor_bar(500, engine=engine) for engine in ("compiled", "machdyn"))
     assert bar["steps"] == other["steps"]
     for name in ("length_mm", "diameter_mm", "T_max_C", "eps_p_max", "plastic", "numerical"):
         assert bar[name] == pytest.approx(other[name], rel=1e-5), name
-
-
-def program() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("taylor_bar", HERE.parent / "workflows" / "taylor_bar.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found

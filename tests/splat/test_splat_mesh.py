@@ -5,6 +5,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from made_up_run import SCENE
 
 from coupler.commands import mesh as mesh_command
 from coupler.commands.main import main
@@ -16,15 +17,6 @@ from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
 
 D = 25e-6
-SCENE = """
-preset = "draft"
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-"""
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import errors as battery  # workflows/errors.py
 import pytest
 from pages import table_rows
-from scenes import scene_with, several
+from scenes import SMALL, scene_with, several
 
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
@@ -131,20 +131,6 @@ def test_the_forecast_is_the_median_of_the_battery():
     """What `check` says is what docs/tables/errors.csv holds, to two digits (workflows/errors.py prints it)."""
     found = battery.forecast(table_rows("errors"))
     assert found == pytest.approx(refinement.FORECAST)
-
-
-SMALL = """
-[particle]
-material = "Ni"
-diameter = "10 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-diameter = "60 um"
-height = "30 um"
-[end]
-time = "3 ns"
-"""
 
 
 ORDER, SLOPE = 1.25, 0.6

@@ -1,9 +1,6 @@
 """The same impact with the particle as points and as finite elements; the ladder: docs/tables/element_particle.csv."""
 
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
+import element_particle as study  # workflows/element_particle.py
 import numpy as np
 import pytest
 
@@ -16,19 +13,8 @@ TOLERANCE = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def study() -> ModuleType:
-    path = Path(__file__).parents[2] / "workflows" / "element_particle.py"
-    spec = importlib.util.spec_from_file_location("element_particle", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
-def test_points_and_elements_agree(study: ModuleType) -> None:
+def test_points_and_elements_agree() -> None:
     """Nickel at 300 m/s on steel: two discretisations of one problem, with nothing in common but law, substrate and contact kernels."""
     elements = study.by_elements("Ni300", SIZE)
     points = study.by_points("Ni300", SIZE)
@@ -40,7 +26,7 @@ def test_points_and_elements_agree(study: ModuleType) -> None:
     ), "what the points dissipate is missing in their plastic work"
 
 
-def test_a_particle_of_elements_keeps_energy_and_momentum(study: ModuleType) -> None:
+def test_a_particle_of_elements_keeps_energy_and_momentum() -> None:
     """Without friction and supports in reach: momentum to rounding, the ledger to the error of the time integration."""
     impact = study.ElementImpact(plan(study.scene_of("Ni300", SIZE, 0.0)), SIZE * 1e-6)
     t = impact.target

@@ -1,10 +1,7 @@
 """Taylor bars against what other codes give for them (tests/data/references.toml); the ladder: docs/tables/taylor_bar.csv."""
 
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
 import pytest
+import taylor_bar as taylor  # workflows/taylor_bar.py
 
 COARSE, FINE = 0.8, 0.57  # mm, edge of the elements near the struck face: eight and eleven across the bar
 # Relative tolerances: twice what the next finer step of the ladder still changes, at most. The length is that of the other codes
@@ -15,19 +12,8 @@ STEEL = {
 }
 
 
-@pytest.fixture(scope="module")
-def taylor() -> ModuleType:
-    path = Path(__file__).parents[2] / "workflows" / "taylor_bar.py"
-    spec = importlib.util.spec_from_file_location("taylor_bar", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("size", [COARSE, pytest.param(FINE, marks=pytest.mark.slow)])
-def test_steel_against_dynela_and_abaqus(taylor: ModuleType, size: float) -> None:
+def test_steel_against_dynela_and_abaqus(size: float) -> None:
     """Pantale, DynELA: a bar of 42CrMo4 at 287 m/s, computed by two codes, in axial symmetry and in three dimensions."""
     bar = taylor.bar("42CrMo4", size)
     for name, tolerance in STEEL[size].items():
@@ -39,7 +25,7 @@ def test_steel_against_dynela_and_abaqus(taylor: ModuleType, size: float) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [COARSE, FINE])
-def test_copper_against_published_bars(taylor: ModuleType, size: float) -> None:
+def test_copper_against_published_bars(size: float) -> None:
     """Published diameters differ by 1.7 % among themselves, lengths by 0.05 %; ours are within 1.5 % and 0.65 %."""
     bar = taylor.bar("copper", size)
     for author, reference in taylor.reference("copper")["results"].items():
@@ -49,7 +35,7 @@ def test_copper_against_published_bars(taylor: ModuleType, size: float) -> None:
     assert abs(bar["energy_drift"]) < 1e-3
 
 
-def test_copper_by_zerilli_armstrong(taylor: ModuleType) -> None:
+def test_copper_by_zerilli_armstrong() -> None:
     """Konokman et al. (2011): a bar at 220 m/s by another code, whose friction is not said; here the wall has none."""
     bar = taylor.bar("copper_zerilli", 1.4)
     reference = taylor.reference("copper_zerilli")["results"]["Konokman et al. 2011, axial symmetry"]
