@@ -1,14 +1,13 @@
 """Clouds of points that must become meshes: real impacts, synthetic hard ones and splats of runs.
 
-    python workflows/splat_battery.py [--clouds DIR] [--only PART]    # docs/tables/splats.csv, the figure and the page
-    python workflows/splat_battery.py --docs                          # converts nothing but the clouds of the figure
+    python workflows/splat_battery.py [--only PART]    # docs/tables/splats.csv, the figure and the page
+    python workflows/splat_battery.py --docs           # converts nothing but the clouds of the figure
 
-Clouds in DIR and rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion,
-with gmsh's process; kernels are loaded before.
+Rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion, with gmsh's
+process; kernels are loaded before.
 """
 
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from coupler.splat.convert import convert
 from coupler.studies.table import Row
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
-CLOUDS = Path(tempfile.gettempdir()) / "splat_battery"
 KINDS = {"impact": "impacts", "synthetic": "synthetic", "splat": "splats of runs"}
 DRAWN = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, synthetic"}
 SHOWN = {  # label -> column, factor, form, the worst of all
@@ -41,28 +39,6 @@ SHOWN = {  # label -> column, factor, form, the worst of all
     "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
 }
 SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
-
-
-def load(path: Path) -> Cloud:
-    """A cloud of the battery from its file."""
-    with np.load(path, allow_pickle=False) as file:
-        arrays: dict[str, Any] = {name: file[name] for name in file.files}
-    for name in ("spacing", "rho", "wave_speed"):
-        if name in arrays:
-            arrays[name] = float(arrays[name])
-    if "vertices" in arrays:
-        arrays["surface"] = arrays.pop("vertices"), arrays.pop("triangles")
-    return Cloud(**arrays)
-
-
-def cloud_of(name: str, folder: Path, make: Callable[[], dict[str, Any]]) -> Cloud:
-    """A cloud from its file in a folder, which is computed where it is missing. Raises ColdsprayError."""
-    path = folder / f"{name}.npz"
-    if not path.exists():
-        print(f"{name}: computing it", flush=True)
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(path, **make())
-    return load(path)
 
 
 def warm_up() -> None:
@@ -96,13 +72,13 @@ def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     return row
 
 
-def compute(folder: Path, only: str, docs: bool) -> list[Row]:
+def compute(only: str, docs: bool) -> list[Row]:
     """The rows of the table, with those that it lacks of the clouds with `only` in their names; docs: convert none."""
     clouds = {name: each for name, each in splat_clouds.every().items() if only in name}
 
     def convert_one(name: str, ratio: str) -> dict[str, Any]:
         kind, make = clouds[name]
-        return row_of(kind, cloud_of(name, folder, make), float(ratio))
+        return row_of(kind, make(), float(ratio))
 
     keys = ((name, f"{ratio:g}") for name in clouds for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())))
     if not docs:
@@ -126,10 +102,10 @@ def part(rows: Sequence[Row]) -> list[str]:
     return markdown(["", *KINDS.values()], lines, rows)
 
 
-def draw(folder: Path, path: Path) -> None:
+def draw(path: Path) -> None:
     """Points and mesh of three clouds, cut at y = 0 and coloured by plastic strain."""
-    makers = {name: make for name, (_, make) in splat_clouds.every().items()}
-    clouds = {label: cloud_of(name, folder, makers[name]) for name, label in DRAWN.items()}
+    makers = splat_clouds.every()
+    clouds = {label: makers[name][1]() for name, label in DRAWN.items()}
     most = max(float(np.percentile(cloud.eps_p, 99)) for cloud in clouds.values() if cloud.eps_p is not None)
     colours: dict[str, Any] = {"cmap": "viridis", "clim": (0.0, most)}
     figure = blank(12.0, 4.4, 100, "constrained")
@@ -161,9 +137,9 @@ def draw(folder: Path, path: Path) -> None:
 
 def main() -> None:
     """Make what is missing of the clouds and of the table; write figure and page."""
-    a = options(__doc__, "docs", clouds=CLOUDS, only="")
-    rows = compute(a.clouds, a.only, a.docs)
-    draw(a.clouds, EVIDENCE / "splats.png")
+    a = options(__doc__, "docs", only="")
+    rows = compute(a.only, a.docs)
+    draw(EVIDENCE / "splats.png")
     write_parts("splats", {"battery": part(rows)})
 
 

@@ -15,11 +15,11 @@ from coupler.impact.exchange import Impact
 from coupler.particle import packing, shapes
 from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics.materials import material
+from coupler.splat.cloud import Cloud
 
 D = 25e-6
 Map = Callable[[np.ndarray], np.ndarray]
-# arrays and numbers of a cloud, by the names of `coupler.splat.cloud.Cloud`, with vertices and triangles
-Made = dict[str, Any]
+Made = dict[str, Any]  # arrays and numbers of a cloud, by the names of `Cloud`
 
 
 def particle(metal: str, velocity: float, **more: object) -> str:
@@ -30,16 +30,15 @@ def particle(metal: str, velocity: float, **more: object) -> str:
 
 
 @cache
-def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[Made, Made]]:
+def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[Cloud, Cloud]]:
     """The clouds of a run's impacts, in their order: of greatest deformation and of the end. spacing: um."""
     kind = "tied" if len(particles) > 1 else "none"
     rest = f'[resolution]\nspacing = "{spacing!r} um"\n[adhesion]\nkind = "{kind}"\n[substrate]\nmaterial = "{base}"\n'
-    seen: dict[int, list[Made]] = {}
+    seen: dict[int, list[Cloud]] = {}
 
     def watch(now: Impact) -> None:
         if now.sinking <= 0.0:
-            cloud = vars(cloud_of(now.domains)).copy()
-            cloud["vertices"], cloud["triangles"] = cloud.pop("surface")
+            cloud = cloud_of(now.domains)
             seen.setdefault(now.bodies.count, [cloud, cloud])[1] = cloud
 
     with computed(Scene.from_text("".join(particles) + rest + '[end]\nat = "rest"\n', "battery"), probe=watch):
@@ -48,7 +47,7 @@ def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[
 
 def impact(
     metal: str, velocity: float, points: int = 1000, onto: bool = False, moment: int = 1, **more: object
-) -> Callable[[], Made]:
+) -> Callable[[], Cloud]:
     """An impact on SS304 to rest, after one at 500 m/s with `onto`; its cloud at the end (moment 1) or of greatest deformation (0)."""
     diameter = 30.0 if metal == "Ti" else 25.0
     before = (particle(metal, 500.0),) if onto else ()
@@ -56,7 +55,7 @@ def impact(
     return lambda: played(particles, "SS304", spacing_of(points, diameter))[-1][moment]
 
 
-def real() -> dict[str, Callable[[], Made]]:
+def real() -> dict[str, Callable[[], Cloud]]:
     """The impacts by name."""
     clouds = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
     clouds |= {f"{m}{v}_greatest": impact(m, v, moment=0) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
@@ -75,9 +74,9 @@ def real() -> dict[str, Callable[[], Made]]:
     return clouds
 
 
-def splats() -> dict[str, Callable[[], Made]]:
+def splats() -> dict[str, Callable[[], Cloud]]:
     """Thirty splats of runs of 500 points, by name: four metals, oblique, hot, soft on hard, hard on soft, and sequences."""
-    clouds: dict[str, Callable[[], Made]] = {}
+    clouds: dict[str, Callable[[], Cloud]] = {}
 
     def add(name: str, base: str, *particles: str) -> None:
         diameter = 30.0 if name.startswith("Ti") else 25.0
@@ -149,8 +148,7 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> Made:
         if body.inner is not None:
             triangles = np.concatenate([triangles, body.inner[1] + len(vertices)])
             vertices = np.concatenate([vertices, body.inner[0]])
-        cloud["vertices"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x)
-        cloud["triangles"] = triangles
+        cloud["surface"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x), triangles
     return cloud
 
 
@@ -173,7 +171,7 @@ def ball(n: int) -> shapes.Body:
 def joined(*parts: Made) -> Made:
     """Several clouds as one, without surfaces."""
     first = parts[0]
-    arrays = {k for k, v in first.items() if np.ndim(v) and k not in ("vertices", "triangles", "J")}
+    arrays = {k for k, v in first.items() if k not in ("surface", "J") and np.ndim(v)}
     return {
         k: np.concatenate([p[k] for p in parts]) if k in arrays else first[k]
         for k in (*arrays, "spacing", "rho", "wave_speed")
@@ -278,7 +276,10 @@ def synthetic() -> dict[str, Callable[[], Made]]:
     return clouds
 
 
-def every() -> dict[str, tuple[str, Callable[[], Made]]]:
+def every() -> dict[str, tuple[str, Callable[[], Cloud]]]:
     """All clouds by name, each with its kind: "impact" or "synthetic", the 71 of the battery, or "splat" of a run."""
-    kinds = {"impact": real(), "synthetic": synthetic(), "splat": splats()}
+    made: dict[str, Callable[[], Cloud]] = {
+        name: lambda make=make: Cloud(**make()) for name, make in synthetic().items()
+    }
+    kinds = {"impact": real(), "synthetic": made, "splat": splats()}
     return {name: (kind, make) for kind, clouds in kinds.items() for name, make in clouds.items()}
