@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from .. import __version__, report
@@ -80,6 +81,8 @@ def run(
         companions.begin(on_another_core=options.ranks.size == 1 and cores() > max(options.threads, options.jobs))
         return store
 
+    if is_first_rank():  # matplotlib loads while this process waits for gmsh
+        Thread(target=getattr, args=(report, "section_picture"), daemon=True).start()
     try:
         return _complete(deposit(decided, folder, options, create), companions, options)
     finally:

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable
 from types import ModuleType
 
-import gmsh
 import numpy as np
 
 from ..errors import SolverError, SplatError
@@ -24,6 +23,8 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
     The model sets the element size; curvature and points do not change it. Raises SolverError if gmsh makes no element, and all errors
     of gmsh.
     """
+    import gmsh
+
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)

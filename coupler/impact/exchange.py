@@ -161,9 +161,11 @@ class Impact(Course):
 
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt s. Raises SolverError if a domain fails."""
-        needed = self.surface.support(self.contact.rows)
-        if self.folding is not None:
-            needed = np.union1d(needed, self.folding.needed)
+        needed = None  # all points
+        if self.particle.ranks.size > 1:
+            needed = self.surface.support(self.contact.rows)
+            if self.folding is not None:
+                needed = np.union1d(needed, self.folding.needed)
         with growing(self.target):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt

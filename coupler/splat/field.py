@@ -8,7 +8,6 @@ Features that the smoothing does not resolve are lost: lips thinner than about 1
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
@@ -27,7 +26,9 @@ class Field:
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Values (m,) at points x (m,3) m, linear between the centres, 0 outside the grid."""
-        return ndimage.map_coordinates(self.values, self.index(x), order=1, mode="constant", cval=0.0, prefilter=False)
+        from scipy.ndimage import map_coordinates
+
+        return map_coordinates(self.values, self.index(x), order=1, mode="constant", cval=0.0, prefilter=False)
 
     def index(self, x: np.ndarray) -> np.ndarray:
         """Grid coordinates (3,m) of points x (m,3) m, in cells, 0 at the first centre."""
@@ -79,7 +80,9 @@ def of_points(x: np.ndarray, volume: np.ndarray, h: float, sigma: float) -> Fiel
 
 
 def _smooth(values: np.ndarray, sigma: float) -> np.ndarray:
-    return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.5)
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(values, sigma, mode="constant", truncate=3.5)
 
 
 def steepness(field: Field) -> np.ndarray:
@@ -129,14 +132,16 @@ def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.n
 
     Returns the field, and the cells (p,3) of each remaining component above the level, largest first.
     """
+    from scipy.ndimage import label
+
     values = field.values.copy()
-    gaps, _ = ndimage.label(values <= level)
+    gaps, _ = label(values <= level)
     sizes = np.bincount(gaps.ravel()) * field.h**3
     small = np.flatnonzero(sizes < smallest)
     small = small[small != 0]
     if len(small):
         values[np.isin(gaps, small)] = 1.0
-    parts, _ = ndimage.label(values > level)
+    parts, _ = label(values > level)
     sizes = np.bincount(parts.ravel()) * field.h**3
     order = [int(i) for i in np.argsort(-sizes, kind="stable") if i != 0]
     fragments = [i for i in order if sizes[i] < smallest]
