@@ -16,12 +16,14 @@ AHEAD = 96  # number of impacts that the search for a batch considers
 @dataclass(frozen=True)
 class Landing:
     """Data of an impact for the choice of batches. offset: position (x, y) of its axis, m; window: radius (m) within which the target
-    is computed, inf for the whole target; diameter: diameter of the particle, m; dwell: time until the next impact, s."""
+    is computed, inf for the whole target; diameter: diameter of the particle, m; dwell: time until the next impact, s; ends_pass:
+    whether it is the last impact of a pass of the gun."""
 
     offset: tuple[float, float]
     window: float
     diameter: float
     dwell: float = 0.0
+    ends_pass: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,14 @@ class Batch:
 
 
 def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]:
-    """The batches of a plan, in the order of the impacts. A batch ends before an impact whose window is too close to the window of
-    another impact in the batch. is_cooled: whether heat flows between impacts."""
+    """The batches of a plan, in the order of the impacts. A batch ends with a pass of the gun, and before an impact whose window is too
+    close to the window of another impact in the batch. is_cooled: whether heat flows between impacts."""
     found, first = list[Batch](), 0
     while first < len(impacts):
         stop = first + 1
-        while stop < len(impacts) and stop - first < LARGEST_BATCH and _apart(impacts[first:stop], impacts[stop]):
+        while stop < min(len(impacts), first + LARGEST_BATCH) and not impacts[stop - 1].ends_pass:
+            if not _apart(impacts[first:stop], impacts[stop]):
+                break
             stop += 1
         cut, before_last = max(i.window for i in impacts[first:stop]), impacts[first : min(stop, len(impacts) - 1)]
         found.append(Batch(first, stop, cut, sum((i.dwell for i in before_last), 0.0) if is_cooled else 0.0))

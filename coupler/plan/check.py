@@ -72,6 +72,9 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
             f"effects: gradient_hardening needs taylor_alpha and burgers of {' or '.join(sorted({m.name for m in known}))}",
         )
     yield from _adhesion(d, catalogue)
+    if scene.coating is None and (d.spray.passes or d.spray.angle):
+        text = "spray.passes and spray.angle are for the particles of a table [coating]: give dwell and angle of each particle"
+        yield ("spray.passes", "spray.angle"), text
     if scene.output.at == "ends" and scene.output.every is not None:
         yield ("output.at", "output.every"), 'output.every: has no effect with output.at = "ends": remove one of them'
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)

@@ -5,7 +5,7 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from statistics import NormalDist
 
@@ -15,7 +15,8 @@ from .. import units
 from ..physics.materials import Material, unknown
 from ..physics.shapes import sphere_volume
 from ..scene.coating import Coating, PowderTable
-from ..scene.tables import read_table
+from ..scene.tables import Spray, read_table
+from .passes import arrivals
 from .powder import sizes_of
 
 _STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
@@ -79,8 +80,13 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
             fed.append(_fed(powder, folder, catalogue))
         except ValueError as error:
             problems.append(f"coating.powder[{i}].{error}" if table.powder else f"coating.{error}")
+    spray = read_table(Spray, raw.get("spray", {}))[0] or Spray()  # the check of the scene reports its errors
     try:
-        raw["particle"] = particles(table, fed) if not problems else [dict(_STAND_IN)]
+        passes = arrivals(spray, table, folder)
+    except ValueError as error:
+        problems.append(f"spray.{error}")
+    try:
+        raw["particle"] = particles(table, fed, *passes, spray.angle) if not problems else [dict(_STAND_IN)]
     except ValueError as error:
         raw["particle"] = [dict(_STAND_IN)]
         problems.append(f"coating.{error}")
@@ -127,29 +133,30 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
     return counts.tolist()
 
 
-def particles(table: Coating, fed: Sequence[Fed] | None = None) -> list[dict[str, str | list[str]]]:
+def particles(
+    table: Coating, fed: Sequence[Fed], passes: Sequence[int], dwells: Sequence[float | None], angle: float = 0.0
+) -> list[dict[str, str | list[str]]]:
     """The particles of a coating as tables of a scene, in the order of their impacts, layer by layer.
 
     All random numbers are from `random.Random.random`, which is equal in all versions of Python. The texts have all digits of the
-    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table. Raises ValueError if a powder has
-    no particle.
+    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table; passes, dwells: as of
+    `passes.arrivals`; angle: of the gun, rad. Raises ValueError if a powder has no particle.
     """
-    fed = fed or [Fed(table)]
     dice = random.Random(table.seed)
     counts = _counts(table, fed)
     order = [k for k, count in enumerate(counts) for _ in range(count)]
     if len(fed) > 1:
         order = [k for _, k in sorted((dice.random(), k) for k in order)]
-    places: list[tuple[float, float]] = []
-    drawn = []
-    for i, k in enumerate(order):
-        if i % (table.number // table.layers) == 0:
-            places = []  # of this layer
-        places.append(_place(table, dice, places))
-        drawn.append(
-            _drawn(fed[k], places[-1], dice)
-            | ({"dwell": units.show(table.dwell, "us")} if table.dwell is not None else {})
-        )
+    drawn, left = [], iter(zip(order, dwells, strict=True))
+    for count in [*passes] * table.layers:
+        places: list[tuple[float, float]] = []  # of this pass
+        for k, dwell in islice(left, count):
+            places.append(_place(table, dice, places))
+            drawn.append(
+                _drawn(fed[k], places[-1], dice)
+                | ({"dwell": units.show(dwell, "us")} if dwell is not None else {})
+                | ({"angle": units.show(angle, "deg")} if angle else {})
+            )
     return drawn
 
 
@@ -190,7 +197,7 @@ def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:
     """A random position (m) on the disc, uniform in area; in an "even" layer the best of several candidates (Mitchell 1991). places:
-    the positions of the layer."""
+    the positions of the layer or pass."""
 
     def anywhere() -> tuple[float, float]:
         r, phi = table.radius * math.sqrt(dice.random()), 2.0 * math.pi * dice.random()

@@ -128,6 +128,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
         output_every=d.output_every_of(particle),
         dwell=d.dwell_of(particle),
+        ends_pass=d.spray.passes is not None and d.dwell_of(particle) > 0.5 * d.spray.time_between_passes,
         end_at=end_at,
         window=d.window_of(particle),
         formula=pair_formula(material, base, particle.temperature, D),
@@ -147,7 +148,8 @@ def _spray(scene: Scene) -> str:
     stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
     time_of_pass = 0.25 * math.pi * spray.spot / spray.traverse_speed  # mean over the chords of the spot
     impacts = time_of_pass / d.time_between
-    return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
+    passes = f"{spray.passes} passes in a layer; under the spot " if spray.passes else ""
+    return f"{passes}time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:

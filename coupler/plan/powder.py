@@ -18,12 +18,17 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
     """The size distribution of a powder, from its value in a scene. folder: folder to which a file name is relative. Raises
     ValueError with the problem of the file."""
     if isinstance(sizes, str):
-        path = folder / Path(sizes).expanduser()
-        try:
-            return sizes_in(read_table(read_any_text(path, _LARGEST), axes="xy"))
-        except InputError as error:
-            raise ValueError(f"the file {error.reason}{similar(path)}") from None
+        return sizes_in(table_of(sizes, folder))
     return Sizes.of_sieves(*sizes) if len(sizes) == 2 else Sizes.of_quantiles(*sizes)
+
+
+def table_of(name: str, folder: Path) -> Table:
+    """The table of a file with two or more columns. folder: base of its name. Raises ValueError with the problem of the file."""
+    path = folder / Path(name).expanduser()
+    try:
+        return read_table(read_any_text(path, _LARGEST), axes="xy")
+    except InputError as error:
+        raise ValueError(f"the file {error.reason}{similar(path)}") from None
 
 
 def sizes_in(table: Table) -> Sizes:

@@ -156,7 +156,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     read = read.model_copy(
         update={kind: {name: table for name, table in dict(read)[kind].items() if name in own} for kind in KINDS}
     )
-    if drawn:  # in an order with large batches
+    if drawn and not (read.spray and read.spray.passes):  # in an order with large batches
         places = [Landing(p.offset, Derived(read).window_of(p), p.diameter) for p in read.particles]
         return read.model_copy(update={"particles": [read.particles[i] for i in side_by_side(places)]})
     return read

@@ -209,7 +209,43 @@ class Track(Section):
     traverse_speed: Annotated[float, Quantity("mm/s", "0.1 mm/s", "10 m/s")] = 0.3
 
 
-class Spray(Track):
+class GunPath(Track):
+    """The path of the gun, lines along y. SI units.
+
+    distribution: mass flow over the spot, "uniform", "gaussian" or the name of a .csv file. passes: number of lines, None: the gun does
+    not move, and the particles have the mean rate over the spot. step: distance of two lines in x, None: all passes are on one line.
+    first: x of the first line, None: the lines are centred about 0. length: length of each line, with y = 0 in its middle. angle (rad):
+    angle of the gun to the surface normal, in the plane of x and z; the particles fly to +x.
+    """
+
+    distribution: str = "uniform"
+    passes: StrictInt | None = Field(default=None, ge=1, le=1000)
+    step: Annotated[float | None, Quantity("mm", "0.001 mm", "100 mm")] = None
+    first: Annotated[float | None, Quantity("mm", "-1000 mm", "1000 mm")] = None
+    length: Annotated[float, Quantity("mm", "1 mm", "10 m")] = 0.1
+    angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
+
+    @field_validator("step", "first")
+    @classmethod
+    def _of_lines(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("passes", 1) is None:
+            raise ValueError("needs passes, the number of lines")
+        return value
+
+    @property
+    def time_between_passes(self) -> float:
+        """Time (s) from a pass at y = 0 to the next pass there."""
+        return (self.length + (self.step or 0.0)) / self.traverse_speed
+
+    @property
+    def lines(self) -> tuple[float, ...]:
+        """Positions x of the lines in their order, m."""
+        count, step = self.passes or 1, self.step or 0.0
+        first = -0.5 * step * (count - 1) if self.first is None else self.first
+        return tuple(first + step * k for k in range(count))
+
+
+class Spray(GunPath):
     """The spray, which gives the time between impacts. SI units.
 
     efficiency: fraction of the powder that the particles of the scene represent. heat_transfer: coefficient of the jet on the surface

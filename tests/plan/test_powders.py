@@ -10,6 +10,7 @@ import pytest
 from coupler import Scene
 from coupler.errors import SceneError
 from coupler.physics.materials import material
+from coupler.plan.planning import plan
 
 BLEND = """
 preset = "draft"
@@ -111,3 +112,85 @@ def test_a_powder_too_rare_for_the_number_of_particles_is_refused() -> None:
         match=r"coating.number = 60: powder\[2\] has no particle, because its share is small: give at least \d+ particles",
     ):
         Scene.from_text(text)
+
+
+RASTER = """
+preset = "draft"
+
+[coating]
+material = "Ni"
+number = 48
+layers = 2
+radius = "30 um"
+diameter = "20 um"
+velocity = "650 m/s"
+temperature = "500 K"
+
+[spray]
+spot = "6 mm"
+distribution = "gaussian"
+traverse_speed = "300 mm/s"
+passes = 3
+step = "1.5 mm"
+length = "60 mm"
+angle = "20 deg"
+
+[substrate]
+material = "SS304"
+diameter = "200 um"
+height = "70 um"
+"""
+
+
+def test_a_raster_sends_its_particles_pass_by_pass_at_the_angle_of_the_gun() -> None:
+    """Lines a standard deviation apart: the outer passes bring exp(-cos(20 deg)^2 / 2) of the mass of the middle one. A pass has the
+    standard deviation of the spot over the speed, 5 ms; one pass follows another after (60 + 1.5) mm / 300 mm/s. Quantiles of eight
+    particles and a spot that is cut at four deviations: to a tenth."""
+    scene = Scene.from_text(RASTER)
+    decided = plan(scene)
+    passes = np.split(np.arange(48), [i + 1 for i, impact in enumerate(decided.impacts) if impact.ends_pass])
+    beside = math.exp(-0.5 * math.cos(math.radians(20.0)) ** 2)
+    outer = 24 * beside / (1.0 + 2.0 * beside)
+    assert [len(each) for each in passes] == [round(outer), 24 - 2 * round(outer), round(outer)] * 2
+    times = np.concatenate([[0.0], np.cumsum([impact.dwell for impact in decided.impacts[:-1]])])
+    middles = np.array([times[each].mean() for each in passes])
+    assert np.diff(middles) == pytest.approx(61.5 / 300.0, rel=1e-9)
+    for each in passes:
+        assert times[each].std() == pytest.approx(5e-3, rel=0.1)
+    for impact in decided.impacts:
+        assert impact.velocity == pytest.approx(
+            (650.0 * math.sin(math.radians(20.0)), 0.0, -650.0 * math.cos(math.radians(20.0)))
+        )
+    ends = {batch.stop - 1 for batch in decided.batches}
+    assert {int(each[-1]) for each in passes} <= ends  # the pause is between two passes
+    assert sum(batch.pause for batch in decided.batches) == pytest.approx(times[-1])
+    assert Scene.from_text(scene.to_toml(), "raster") == scene
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('step = "1.5 mm"', 'step = "0 mm"', 'spray.step = "0 mm" is outside 0.001 mm to 100 mm'),
+        ("passes = 3", "", 'spray.step = "1.5 mm" needs passes, the number of lines'),
+        ('step = "1.5 mm"', 'first = "20 mm"', "spray.first: no pass reaches the patch: the nearest line is 18.8 mm away"),
+        ('length = "60 mm"', 'length = "20 mm"', "spray.length = 20 mm: the spot does not leave the patch"),
+        ('length = "60 mm"', 'length = "9 m"', "spray.length = 9000 mm: the patch waits 30"),
+        ('"gaussian"', '"round"', 'spray.distribution = "round": the file is missing; give "uniform", "gaussian" or a file'),
+        ('"gaussian"', '"none.csv"', 'spray.distribution = "none.csv": the file is missing'),
+        ("number = 48", 'number = 48\ndwell = "1 us"', "spray.passes: the path of the gun gives the times between impacts"),
+    ],
+)  # fmt: skip
+def test_a_path_that_cannot_be_is_one_message_with_its_key(old: str, new: str, message: str) -> None:
+    with pytest.raises(SceneError) as error:
+        Scene.from_text(RASTER.replace(old, new))
+    assert len(error.value.problems) == 1
+    assert error.value.problems[0].startswith(message)
+
+
+def test_a_path_needs_a_coating() -> None:
+    particle = '[particle]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "650 m/s"\n\n'
+    alone = particle + RASTER[RASTER.index("[spray]") :]
+    with pytest.raises(SceneError) as error:
+        Scene.from_text(alone)
+    (problem,) = error.value.problems
+    assert problem.startswith("spray.passes and spray.angle are for the particles of a table [coating]")

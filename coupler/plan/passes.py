@@ -1,0 +1,75 @@
+"""When the particles of a coating arrive under a gun that moves.
+
+The patch of a coating is small against the spot: each pass covers all of it, at a rate that follows the spot as it goes by.
+"""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from .. import units
+from ..scene.coating import Coating
+from ..scene.tables import DWELL, GunPath
+from ..spray.spot import Spot
+from .powder import table_of
+
+_ROOM = 4.0  # least length of a line over the radius of the spot
+_LEAST = 1e-3  # least rate of the best pass over the rate under the middle of the spot
+
+
+def spot_of(path: GunPath, folder: Path) -> Spot:
+    """The spot of a spray. folder: base of the name of a file. Raises ValueError that begins with the field."""
+    if path.distribution == "uniform":
+        return Spot.of_points(np.array([0.0, 0.5 * path.spot]), np.ones(2))
+    if path.distribution == "gaussian":  # cut at four standard deviations, where 3e-4 of the mass are outside
+        r = np.linspace(0.0, 1.0, 1001)
+        return Spot.of_points(r * path.spot, np.exp(-8.0 * r**2))
+    try:
+        table = table_of(path.distribution, folder)
+        (name, radius), (_, flow) = list(table.columns.items())[:2]
+        return Spot.of_points(units.parse(f"1 {table.units.get(name, 'mm')}", "length") * radius, flow)
+    except ValueError as error:  # also of units
+        kinds = '"uniform", "gaussian" or a file with radius and mass flow'
+        raise ValueError(f'distribution = "{path.distribution[:60]}": {error}; give {kinds}') from None
+
+
+def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], list[float | None]]:
+    """Numbers of particles in the passes of a layer, without empty passes; and for each particle of the coating the time (s) until the
+    next one, None where the path does not set it.
+
+    A layer is one run of the gun over all lines. The numbers follow from the mass that each pass brings to the patch; the particles of
+    a pass have equal steps of this mass. folder: base of the name of a file. Raises ValueError that begins with the field.
+    """
+    number = table.number // table.layers
+    if path.passes is None:
+        return [number], [table.dwell] * table.number
+    if table.dwell is not None:
+        raise ValueError("passes: the path of the gun gives the times between impacts: remove coating.dwell")
+    spot, away, length = spot_of(path, folder), np.abs(path.lines) * math.cos(path.angle), units.show(path.length, "mm")
+    rate, reach = spot.across(away), units.rounded(spot.reach, "mm")
+    if rate.max() < _LEAST * float(spot.across(0.0)):
+        field, nearest = "step" if path.first is None else "first", units.rounded(float(away.min()), "mm")
+        raise ValueError(
+            f"{field}: no pass reaches the patch: the nearest line is {nearest} away, the spot has a radius of {reach}"
+        )
+    if path.length < _ROOM * spot.reach:
+        least = units.rounded(_ROOM * spot.reach, "mm")
+        raise ValueError(
+            f"length = {length}: the spot does not leave the patch between two passes: give at least {least}"
+        )
+    exact = number * rate / rate.sum()
+    counts = np.floor(exact).astype(int)
+    counts[np.argsort(counts - exact, kind="stable")[: number - counts.sum()]] += 1
+    times = [
+        (layer * len(away) + k) * path.time_between_passes + y / path.traverse_speed
+        for layer in range(table.layers)
+        for k, count in enumerate(counts) if count
+        for y in spot.along(float(away[k]), (np.arange(count) + 0.5) / count)
+    ]  # fmt: skip
+    waits = [float(after - before) for before, after in pairwise(times)]
+    if max(waits, default=0.0) > units.parse(DWELL.high, "time"):
+        long = units.rounded(max(waits), "s")
+        raise ValueError(f"length = {length}: the patch waits {long} for the gun, at most {DWELL.high} are possible")
+    return [int(count) for count in counts if count], [*waits, None]

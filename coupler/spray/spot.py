@@ -1,0 +1,63 @@
+"""The spot of the spray: mass flow of the powder over the distance from the axis of the gun."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_RINGS, _FINE = 400, 2001  # points of tables
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Rings of constant mass flow. radius (n + 1,): radii of their edges, m, the first is 0; flow (n,): mass flow density of each ring
+    over the total mass flow, 1/m2."""
+
+    radius: Array
+    flow: Array
+
+    @classmethod
+    def of_points(cls, radius: Array, flow: Array) -> "Spot":
+        """From mass flow densities, in any unit, at ascending radii (m), linear between them. Raises ValueError for points that are
+        not a spot."""
+        ascend = len(radius) > 1 and radius[0] >= 0.0 and bool((np.diff(radius) > 0.0).all())
+        if not (ascend and flow.min() >= 0.0 and 0.0 < flow.max() < math.inf):
+            raise ValueError(
+                "needs ascending radii and mass flows, all of them zero or more, and one mass flow above zero"
+            )
+        edges = np.linspace(0.0, radius[-1], _RINGS + 1)
+        mean = np.interp(0.5 * (edges[1:] + edges[:-1]), radius, flow)
+        return cls(edges, mean / (math.pi * float(mean @ np.diff(edges**2))))
+
+    @property
+    def reach(self) -> float:
+        """Radius of the spot, m."""
+        return float(self.radius[-1])
+
+    def across(self, x: ArrayLike) -> Array:
+        """Mass of a pass per unit of width at distances x (k,) m from its line, over the mass of the pass, 1/m: sums of chords of
+        discs."""
+        chords = 2.0 * np.sqrt(np.maximum(self.radius**2 - np.asarray(x, np.float64)[..., None] ** 2, 0.0))
+        return np.asarray(np.diff(chords) @ self.flow, np.float64)
+
+    @cached_property
+    def table(self) -> tuple[Array, Array, Array]:
+        """Distances from the line of a pass (k,) m, `across` there, and the share of the mass on their left, 0 to 1."""
+        s = np.linspace(-self.reach, self.reach, _FINE)
+        density = self.across(s)
+        left = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+        return s, density, left / left[-1]
+
+    def along(self, x: float, shares: Array) -> Array:
+        """Positions (k,) m of the gun on its line at which a point beside it has received the shares (k,) of its mass, 0 to 1. x:
+        distance of the point from the line, m, within the spot."""
+        half = math.sqrt(self.reach**2 - x**2)
+        y = np.linspace(-half, half, _FINE)
+        middles = 0.5 * (self.radius[1:] + self.radius[:-1])
+        flow = np.interp(np.hypot(x, 0.5 * (y[1:] + y[:-1])), middles, self.flow)
+        got = np.concatenate([[0.0], np.cumsum(flow)])
+        return np.asarray(np.interp(shares, got / got[-1], y), np.float64)
