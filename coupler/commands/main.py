@@ -17,7 +17,7 @@ from .. import __version__
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
-from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, properties, sweep, watch, window
+from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, properties, sweep, track, watch, window
 from . import arguments as options
 from . import map as maps
 from .arguments import Option
@@ -186,7 +186,7 @@ def _parser() -> argparse.ArgumentParser:
            " its time limit; a run that met its end criterion without a verdict needs --until)")  # fmt: skip
     _add_running(option)
     studies = accuracy, sweep, maps, critical
-    for command in (new, job, app, watch, materials, gas, window, mesh, coating, properties, *studies):
+    for command in (new, job, app, watch, materials, gas, window, track, mesh, coating, properties, *studies):
         command.add(commands)
     option = options.add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')

@@ -17,6 +17,7 @@ KINDS = {
     "pair": "two particles, the second on the first",
     "coating": "a coating of random particles, with gas and nozzle",
     "job": "a job: one page says whether a powder sticks, how much of it, and what coating it makes",
+    "track": "cross-sections of one pass of the gun and of a raster",
     "map": "a sweep over velocity and temperature",
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",

@@ -206,21 +206,22 @@ def _um(length: float) -> str:
     return units.rounded(length, "um", 5)
 
 
-def read(path: Path) -> Job:
-    """Read the file of a job. Raises the errors of `from_text`, and InputError if the file cannot be read."""
-    return from_text(read_text(path, SCENE_LIMIT), path)
+def read(path: Path, kind: type[JobData] = JobData) -> Job:
+    """Read the file of a job. kind: model of its tables. Raises the errors of `from_text`, and InputError if the file cannot be
+    read."""
+    return from_text(read_text(path, SCENE_LIMIT), path, kind)
 
 
-def from_text(text: str, path: Path) -> Job:
-    """Read a job from TOML. path: its file, whose stem is the name of the job and whose folder has the files that it names. Raises
-    InputError if the text is not valid TOML, SceneError with all problems of its tables."""
+def from_text(text: str, path: Path, kind: type[JobData] = JobData) -> Job:
+    """Read a job from TOML. path: its file, whose stem is the name of the job and whose folder has the files that it names; kind: model
+    of its tables. Raises InputError if the text is not valid TOML, SceneError with all problems of its tables."""
     raw = toml_of(text, path)
     problems = with_library(raw, str(path))
     metals, found = materials.from_scene(raw["materials"])
     known, of_nozzles = nozzles.from_tables(raw["nozzles"])
     problems += found + of_nozzles
-    data, entries = read_table(JobData, raw)
-    problems += [in_words(entry, False, JobData) for entry in entries]
+    data, entries = read_table(kind, raw)
+    problems += [in_words(entry, False, kind) for entry in entries]
     for table, key in (("powder", "material"), ("substrate", "material"), ("gas", "nozzle")):
         name = raw[table].get(key) if isinstance(raw.get(table), dict) else None
         if isinstance(name, str) and name not in (known if key == "nozzle" else metals):

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from .coating import PowderSizes
-from .tables import GasConditions, Quantity, Section, Temperature, Track
+from .tables import GasConditions, GunPath, Quantity, Section, Temperature, Track
 
 
 class Powder(Section):
@@ -32,3 +32,16 @@ class JobData(Section):
     substrate: Base
     materials: dict[str, dict[str, object]] = Field(default_factory=dict)
     nozzles: dict[str, dict[str, object]] = Field(default_factory=dict)
+
+
+class TrackSpray(GunPath):
+    """The spray of a track. efficiency: a .csv file of angles of impact from the surface normal and deposition efficiencies, or a
+    folder of runs at several angles; None: by the formula of the critical velocity."""
+
+    efficiency: str | None = None
+
+
+class TrackData(JobData):
+    """All tables of a track: those of a job, with the path of the gun. SI units."""
+
+    spray: TrackSpray = TrackSpray()
