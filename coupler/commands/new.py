@@ -28,6 +28,7 @@ EXAMPLES = {  # of workflows/; a wheel has them inside the package (pyproject.to
     "triple_ni": "three nickel particles of different sizes, one after another on the same place",
     "morphology": "three nickel particles that are not spheres, one after another on the same place",
     "coating_ni": "a coating of 40 nickel particles on steel, with a gas and a nozzle",
+    "raster_ni": "a coating of 24 nickel particles from a gun that moves, two passes at an angle",
     "critical_al": "critical velocity of 22 um aluminium on aluminium, by computed bonds",
     "critical_cu": "critical velocity of 14 um copper on copper, by computed bonds",
     "critical_ni": "critical velocity of 10 um nickel on nickel, by computed bonds",
