@@ -14,7 +14,7 @@ ALLOWED: dict[str, set[str]] = {
     "commands": {"app", "properties", "studies", "report", "deposition", "splat", "files", "plan", "scene", "spray", "physics",
                  "geometry"},
     "app": {"studies", "report", "files", "plan", "scene", "spray", "physics"},
-    "properties": {"studies", "fe", "contact", "files", "plan", "physics", "geometry"},
+    "properties": {"studies", "report", "fe", "contact", "files", "plan", "physics", "geometry"},
     "studies": {"deposition", "report", "files", "plan", "scene", "spray", "physics", "geometry"},
     "deposition": {"report", "impact", "target", "splat", "fe", "contact", "files", "ranks", "plan", "particle", "physics", "geometry"},
     "report": {"files", "geometry"},

@@ -1,6 +1,7 @@
-"""The command `coldspray properties`: effective stiffness and conductivities of a cold coating."""
+"""The command `coldspray properties`: effective stiffness, conductivities and strength of a cold coating, and a coated strip."""
 
 import argparse
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from ..files.inputs import reading
@@ -14,11 +15,12 @@ if TYPE_CHECKING:
     from ..studies.coating import SeedError
 
 NAMES = ("properties.json", "properties.csv")
+ALMEN = 31.75e-3  # m: distance of the feet of an Almen gauge
 
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "compute Young's modulus and the thermal and electrical conductivity of a cold coating"
+    text = "compute Young's modulus, thermal and electrical conductivity, strength and strip curvature of a cold coating"
     option = options.add_command(commands, "properties", run, text)
     option("runs", type=options.path, nargs="+", metavar="DIR",
            help="folder of a run with a cold coating; several folders, with different seeds, give the error of the mean")  # fmt: skip
@@ -30,6 +32,14 @@ def add(commands: Commands) -> None:
     option("--conductance", type=options.quantity("--conductance", "heat transfer"), metavar="H",
            help='thermal conductance of facets that touch without a bond, such as "5e7 W/(m2 K)" (default: 1.5e7'
            ' and 5.5e8)')  # fmt: skip
+    option("--pull", action="store_true",
+           help="pull the block of the first run apart: across, at the substrate, in the plane; some minutes")  # fmt: skip
+    option("--strip", type=options.quantity("--strip", "length"), metavar="H",
+           help="thickness of a strip with the coating of the first run: its curvature and stresses, also for CalculiX")  # fmt: skip
+    option("--length", type=options.quantity("--length", "length"), metavar="L", default=ALMEN,
+           help="length of the strip over which its deflection counts (default: 31.75 mm, of the Almen gauge)")  # fmt: skip
+    option("--sprayed-at", type=options.quantity("--sprayed-at", "temperature"), metavar="T",
+           help="temperature of strip and coating while spraying: they cool from it (default: no more than in the run)")  # fmt: skip
     options.add_force(option)
 
 
@@ -43,34 +53,68 @@ def run(arguments: argparse.Namespace) -> int:
 
     from ..files.outputs import claim_folder, write_text
     from ..files.result import Result
+    from ..properties import pull, strip
     from ..properties.measure import of_seeds
     from ..studies.table import write_rows
 
-    folder = arguments.out or arguments.runs[0] / "properties"
-    claim_folder(folder, "properties", NAMES, arguments.runs, arguments.force)
+    folder, first = arguments.out or arguments.runs[0] / "properties", Result(arguments.runs[0])
+    names = [*NAMES, *pull.NAMES * arguments.pull, *strip.NAMES * (arguments.strip is not None)]
+    claim_folder(folder, "properties", names, arguments.runs, arguments.force)
     found: dict[str, Properties] = {}
+    heights = None if arguments.heights is None else tuple(arguments.heights)
+    of_block = {"side": arguments.side, "heights": heights}
     for path in arguments.runs:
         with reading(path), options.working(f"computing the properties of {path}"):
-            heights = None if arguments.heights is None else tuple(arguments.heights)
-            asked = {"side": arguments.side, "heights": heights, "conductance": arguments.conductance}
-            found[str(path)] = Result(path).properties(**asked)
-    seeds = of_seeds(list(found.values()))
-    whole = {
+            found[str(path)] = Result(path).properties(**of_block, conductance=arguments.conductance)
+    seeds, about = of_seeds(list(found.values())), options.remake(arguments)
+    whole: dict[str, Any] = {
         "runs": {name: asdict(each) for name, each in found.items()},
         "seeds": {k: vars(v) for k, v in seeds.items()},
     }
-    write_text(folder / NAMES[0], json.dumps(whole, indent=2) + "\n")
     rows: list[dict[str, Any]] = [
         {"run": name, "property": key, **vars(value)}
         for name, each in found.items()
         for key, value in each.values.items()
     ]
-    write_rows(folder / NAMES[1], list(rows[0]), rows, options.remake(arguments))
+    write_rows(folder / NAMES[1], list(rows[0]), rows, about)
     console = Console(width=shutil.get_terminal_size((120, 30)).columns, highlight=False)
     for name, each in found.items():
         console.print(_head(name, each), table(each, seeds), sep="\n")
-    print(f"{', '.join(NAMES)} in {folder}")
+    with reading(first.directory), options.working("pulling the block apart, or bending the strip"):
+        if arguments.pull:
+            pulls = pull.strengths(first, **of_block)
+            pull.write_pulls(folder, pulls, about)
+            whole["pull"] = [{k: v for k, v in vars(p).items() if k not in ("rows", "opened")} for p in pulls]
+        if arguments.strip is not None:
+            coated = strip.strip_of(first, next(iter(found.values())), arguments.strip, arguments.sprayed_at)
+            strip.write(coated, arguments.length, folder, about)
+            whole["strip"] = coated.values(arguments.length)
+    print(*_lines(whole.get("pull", []), whole.get("strip")), sep="\n")
+    write_text(folder / NAMES[0], json.dumps(whole, indent=2) + "\n")
+    print(f"{', '.join(names)} in {folder}")
     return 0
+
+
+def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Iterator[str]:
+    """Lines for the screen about the pulls and the strip of properties.json."""
+    from ..properties.pull import WORDS
+
+    for direction, words in WORDS.items() if pulls else ():
+        central, *others = [p for p in pulls if p["direction"] == direction]
+        ends = " to ".join(f"{1e-6 * value:.0f}" for value in sorted(p["strength_Pa"] for p in others))
+        yield (
+            f"strength {words}: {1e-6 * central['strength_Pa']:.0f} MPa{f' ({ends} with thinner and thicker films)' if ends else ''} at"
+            f" {central['strain']:.2%} strain; bonds take {central['brittle']:.0%} of the work"
+        )
+    if pulls and pulls[0]["film"] is None:
+        yield "warning: bonds of this run never break: the strengths are limits of plastic flow between the pores"
+    if strip is not None:
+        yield (
+            f"strip of {1e3 * strip['thickness_m']:.3g} mm with {1e6 * strip['coating_m']:.0f} um of coating, which arrives with"
+            f" {1e-6 * strip['arriving_Pa']:+.0f} MPa: curvature {strip['deposited_1_m']:+.3g} 1/m by deposition,"
+            f" {strip['misfit_1_m']:+.3g} 1/m by misfit; deflection {1e6 * strip['deflection_m']:+.1f} um over"
+            f" {1e3 * strip['length_m']:.4g} mm (positive: the coated side is convex)"
+        )
 
 
 def _head(name: str, of: "Properties") -> str:

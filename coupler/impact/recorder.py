@@ -54,14 +54,23 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
 
 def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     """Output fields of the joints between bodies at rest. bonded: remaining share of the strength of a node's bond, 0 without a bond;
-    touching: 1 if a contact presses the node on another body."""
-    bonded, touching = np.zeros((2, len(bodies.target.nodes.x)))
+    touching: 1 if a contact presses the node on another body. Of cohesive bonds also bond_strength (Pa) and bond_energy (J/m2), each
+    in tension and shear, before damage."""
+    n = len(bodies.target.nodes.x)
+    bonded, touching, strength, energy = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
     if (bond := bodies.bond) is not None:
-        bonded[bond.nodes[~bond.broken]] = 1.0 - bond.damage[~bond.broken]
+        whole = ~bond.broken
+        nodes = bond.nodes[whole]
+        bonded[nodes], strength[nodes], energy[nodes] = (
+            1.0 - bond.damage[whole],
+            bond.strength[whole],
+            bond.energy[whole],
+        )
     if (contact := bodies.contact) is not None:
         nodes = contact.pairs.points.node
         touching[nodes[contact.pairs.touching(len(nodes))[0]]] = 1.0
-    return {"bonded": bonded, "touching": touching}
+    law = {"bond_strength": strength, "bond_energy": energy} if np.isfinite(strength).all() else {}
+    return {"bonded": bonded, "touching": touching, **law}
 
 
 class Recorder:

@@ -21,7 +21,7 @@ SLIVER = 1e-9  # element sizes cubed: less volume have elements that those nodes
 class Joints:
     """Pairs of a node of one body and a facet of another body opposite to it. nodes (n,); triangles (n,3), weights (n,3): facet and
     barycentric coordinates of the opposite point; normal (n,3): outward normal of the facet; gap (n,) m; area (n,) m2; bonded (n,):
-    True if both sides have the same displacement, False if they only touch."""
+    True if both sides have the same displacement, False if they only touch; law (n,k): further values of the node's bond."""
 
     nodes: NDArray
     triangles: NDArray
@@ -30,6 +30,7 @@ class Joints:
     gap: NDArray
     area: NDArray
     bonded: NDArray
+    law: NDArray
 
     def only(self, which: NDArray) -> Joints:
         """The joints that a mask (n,) selects."""
@@ -38,12 +39,14 @@ class Joints:
 
 @dataclass(frozen=True)
 class Block:
-    """A block of a coating. points (n,3) m; tets (m,4); body (m,): body of each tetrahedron (bodies share no nodes); low, high (3,)
-    m: corners of the block; walls: facets (k,3) on the faces of the block, normals outwards; joints: joints between the bodies."""
+    """A block of a coating. points (n,3) m; tets (m,4); body (m,): body of each tetrahedron (bodies share no nodes); parent (m,): the
+    tetrahedron of the coating of which it is a part; low, high (3,) m: corners of the block; walls: facets (k,3) on the faces of the
+    block, normals outwards; joints: joints between the bodies."""
 
     points: NDArray
     tets: NDArray
     body: NDArray
+    parent: NDArray
     low: NDArray
     high: NDArray
     walls: NDArray
@@ -65,31 +68,33 @@ def cut_out(
 ) -> Block:
     """The block between the corners low and high (3,) m of a mesh with several bodies.
 
-    body (m,): body of each tetrahedron; at_nodes (n,2): 1 in the first column for a bonded node, 1 in the second for a node that
-    touches another body without a bond, else 0; size (m): element size. Nodes closer than 0.6 element sizes to another body (as when
-    a splat joins the target) belong to a joint.
+    body (m,): body of each tetrahedron; at_nodes (n,2+k): 1 in the first column for a bonded node, 1 in the second for a node that
+    touches another body without a bond, else 0; then k further values of bonds, 0 for other nodes; size (m): element size. Nodes
+    closer than 0.6 element sizes to another body (as when a splat joins the target) belong to a joint.
     """
+    parent = np.arange(len(tets))
     for axis in range(3):
         for wall, sign in ((low[axis], -1.0), (high[axis], 1.0)):
             off = sign * (points[:, axis] - wall)
             near = np.abs(off) < SNAP * size
             points, off = points.copy(), np.where(near, 0.0, off)
             points[near, axis] = wall
-            points, tets, body, at_nodes = clip(points, tets, body, at_nodes, off, SLIVER * size**3)
+            points, tets, parent, at_nodes = clip(points, tets, parent, at_nodes, off, SLIVER * size**3)
+    body = body[parent]
     faces, behind = boundary_faces(tets)
     ends = np.stack([low, high])  # each corner of a facet on a face has the coordinate of one end
     on_wall = (abs(points[faces][:, :, None] - ends) < 1e-9 * (high - low).max()).all(axis=1).any(axis=(1, 2))
     inner, behind = faces[~on_wall], behind[~on_wall]
     number = np.unique(body[behind], return_inverse=True)[1]  # of the bodies with a surface inside the block
     joints = _joints(Surfaces(inner, number, behind), points, at_nodes, 0.6 * size)
-    return Block(points, tets, body, low, high, faces[on_wall], joints)
+    return Block(points, tets, body, parent, low, high, faces[on_wall], joints)
 
 
 def clip(
-    points: NDArray, tets: NDArray, body: NDArray, values: NDArray, off: NDArray, least: float
+    points: NDArray, tets: NDArray, parent: NDArray, values: NDArray, off: NDArray, least: float
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """The part of a mesh of tetrahedra in which a linear field is negative. off (n,): values of the field at the nodes. Nodal values
-    (n,k) are interpolated at new nodes. Tetrahedra with a volume below `least` are left out.
+    (n,k) are interpolated at new nodes. Parts of a tetrahedron have its parent (m,). Those with a volume below `least` are left out.
 
     Each edge that crosses the plane gets a new node. A tetrahedron is divided at the first of its crossing edges, in the order of
     their numbers, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
@@ -112,14 +117,14 @@ def clip(
             break
         middle = n + np.searchsorted(keys, key[halved, first[halved]])
         other = tets[halved]
-        tets, body = np.concatenate([tets, other]), np.concatenate([body, body[halved]])
+        tets, parent = np.concatenate([tets, other]), np.concatenate([parent, parent[halved]])
         tets[halved, EDGES[first[halved], 0]] = middle
         tets[np.arange(len(tets) - len(other), len(tets)), EDGES[first[halved], 1]] = middle
     kept = (off[tets] <= 0.0).all(axis=1) & (off[tets] < 0.0).any(axis=1) & (volumes(points, tets) > least)
     used = np.zeros(len(points), bool)
     used[tets[kept]] = True
     points, tets = compact(points, tets[kept])
-    return points, tets, body[kept], values[used]
+    return points, tets, parent[kept], values[used]
 
 
 def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
@@ -135,8 +140,15 @@ def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float
         normal = area_vectors(points, triangles)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         kept = (pairs.area > 0.0) & (bonded | touches)
-        found.append(Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded).only(kept))
+        law = at_nodes[pairs.nodes, 2:] / np.maximum(
+            at_nodes[pairs.nodes, :1], 0.5
+        )  # where a cut is near, some of the node is bonded
+        found.append(
+            Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law).only(kept)
+        )
     n, three = np.zeros(0), np.zeros((0, 3))
-    none = Joints(n.astype(int), three.astype(int), three, three, n, n, n.astype(bool))
+    none = Joints(
+        n.astype(int), three.astype(int), three, three, n, n, n.astype(bool), np.zeros((0, at_nodes.shape[1] - 2))
+    )
     columns = zip(*(vars(each).values() for each in [none, *found]), strict=True)
     return Joints(*(np.concatenate(column) for column in columns))

@@ -13,6 +13,7 @@ from ..errors import StoreError
 from ..files.result import Result
 from ..geometry.tetrahedra import volumes
 from ..physics.materials import Material
+from ..plan.model import Plan
 from ..plan.record import read_plan
 from ..studies.coating import COLUMN, SeedError, disc_radius, read
 from ..studies.coating_seeds import seed_error
@@ -87,6 +88,16 @@ def properties(
     of facets that touch (default: CONDUCTANCE). Raises StoreError if the run has no cold coating, or the block is too small for its
     splats.
     """
+    _, splats, metals = cold_coating(result)
+    low, high, open_share = corners(splats, side, heights)
+    whole, half = cut(splats, metals, low, high), 0.5 * (high - low) * [1.0, 1.0, 0.0]
+    sides = [half * [i, j, 0.0] for i in (0.0, 1.0) for j in (0.0, 1.0)] if whole.splats >= 4.0 * LEAST_SPLATS else []
+    quarters = [cut(splats, metals, low + aside, high - half + aside) for aside in sides]
+    return _measured(whole, quarters, CONDUCTANCE if conductance is None else (conductance, conductance), open_share)
+
+
+def cold_coating(result: Result) -> tuple[Plan, Splats, list[Material]]:
+    """The plan of a run, its cold coating and the metal of each body. Raises StoreError where there is none."""
     splats = read(result)
     if not splats.is_cold:
         raise StoreError(
@@ -97,12 +108,8 @@ def properties(
             f"{result.directory}: cold.vtkhdf does not say which nodes are bonded: run the scene again with this version"
         )
     plan = read_plan(result.directory)
-    metals = [plan.impacts[max(number, 1) - 1].material for number in splats.impact]
-    low, high, open_share = _corners(splats, side, heights)
-    whole, half = _cut(splats, metals, low, high), 0.5 * (high - low) * [1.0, 1.0, 0.0]
-    sides = [half * [i, j, 0.0] for i in (0.0, 1.0) for j in (0.0, 1.0)] if whole.splats >= 4.0 * LEAST_SPLATS else []
-    quarters = [_cut(splats, metals, low + aside, high - half + aside) for aside in sides]
-    return _measured(whole, quarters, CONDUCTANCE if conductance is None else (conductance, conductance), open_share)
+    own = [plan.impacts[number - 1].material for number in splats.impact[1:]]
+    return plan, splats, [plan.target.material, *own]
 
 
 def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:
@@ -130,7 +137,7 @@ class Sample:
         return float(np.average(self.of_each(value), weights=volumes(self.block.points, self.block.tets)))
 
 
-def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
+def corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
     """Lowest and highest corner (3,) m of the requested block, and the fraction of its vertical columns whose metal ends below its
     top. Raises StoreError if the block reaches into the substrate, lies above the coating, or is narrower than a column."""
     half = disc_radius(splats) / np.sqrt(2.0) if side is None else 0.5 * side
@@ -149,10 +156,13 @@ def _corners(splats: Splats, side: float | None, heights: tuple[float, float] | 
     return np.array([-half, -half, bottom]), np.array([half, half, roof]), float((top < roof).mean())
 
 
-def _cut(splats: Splats, metals: list[Material], low: NDArray, high: NDArray) -> Sample:
-    """The block between two corners (3,) m. Raises StoreError if it is too small for its splats."""
-    mesh, own = splats.mesh, splats.body > 0
-    of_splat = np.abs(volumes(mesh.points, mesh.cells[own])).sum() / max(len(splats.impact) - 1, 1)
+def cut(
+    splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
+) -> Sample:
+    """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
+    if it is too small for its splats."""
+    mesh, own = splats.mesh, splats.body >= first
+    of_splat = np.abs(volumes(mesh.points, mesh.cells[splats.body > 0])).sum() / max(len(splats.impact) - 1, 1)
     held = float(np.prod(high - low) / of_splat)
     if held < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
@@ -160,7 +170,8 @@ def _cut(splats: Splats, metals: list[Material], low: NDArray, high: NDArray) ->
             f"a block of {edges} um holds {held:.1f} splats, but {LEAST_SPLATS:.0f} are needed: choose a larger block (--side,"
             " --heights), or spray more particles"
         )
-    at_nodes = np.stack([mesh.data["bonded"] > 0, mesh.data["touching"] > 0], axis=1).astype(float)
+    marks = [mesh.data["bonded"] > 0, mesh.data["touching"] > 0, *(() if law is None else law.T)]
+    at_nodes = np.stack(marks, axis=1).astype(float)
     block = cut_out(mesh.points, mesh.cells[own], splats.body[own], at_nodes, low, high, splats.element_size)
     return Sample(block, metals, held)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from layers import UM, box, stack
 
 from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.properties.block import Block, Joints, cut_out
@@ -12,7 +13,6 @@ from coupler.properties.measure import moduli
 
 E, NU, K_HEAT = 207e9, 0.31, 91.0  # nickel: Pa, W/mK
 LAME, SHEAR = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
-UM = 1e-6
 KINDS = ("kinematic", "mixed", "static")
 
 
@@ -20,39 +20,6 @@ def isotropic(lame: float, shear: float) -> np.ndarray:
     C = np.diag([2 * shear] * 3 + [shear] * 3)
     C[:3, :3] += lame
     return C
-
-
-def box(cells: tuple[int, int, int], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A box in tetrahedra, six for each cell."""
-    nx, ny, nz = cells
-    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = np.arange(len(points)).reshape(nx + 1, ny + 1, nz + 1)
-    unit = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
-    cube = np.stack([corner[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in unit], axis=1)
-    ways = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
-    tets = cube[:, ways].reshape(-1, 4)
-    return points, np.where((volumes(points, tets) < 0)[:, None], tets[:, [0, 1, 3, 2]], tets)
-
-
-def stack(
-    heights: list[float], n: int = 4, side: float = 10 * UM, joint: str = "bonded", radius: float = np.inf
-) -> Block:
-    """Layers one on another, bodies of their own with equal meshes of n by n cells, joined within a radius of the axis."""
-    points, tets, body, z = [], [], [], 0.0
-    for number, height in enumerate(heights):
-        layers = max(round(n * height / side), 1)
-        x, t = box((n, n, layers), np.array([-side / 2, -side / 2, z]), np.array([side / 2, side / 2, z + height]))
-        tets.append(t + sum(map(len, points)))
-        points.append(x)
-        body.append(np.full(len(t), number))
-        z += height
-    x = np.concatenate(points)
-    near = np.hypot(x[:, 0], x[:, 1]) <= radius
-    at_nodes = np.stack([near * (joint == "bonded"), near * (joint == "touching")], axis=1).astype(float)
-    corner = np.array([side / 2, side / 2, 0.0])
-    top = np.array([0.0, 0.0, z])
-    return cut_out(x, np.concatenate(tets), np.concatenate(body), at_nodes, -corner, corner + top, 1e-2 * side / n)
 
 
 def stiffness(block: Block, kind: str, factor: np.ndarray | float = 1.0) -> np.ndarray:
@@ -215,5 +182,12 @@ def _hinge(block: Block) -> Joints:
     n = len(upper)
     weights, normal = np.tile([1.0, 0.0, 0.0], (n, 1)), np.tile([0.0, 0.0, 1.0], (n, 1))
     return Joints(
-        upper, np.repeat(lower[:, None], 3, axis=1), weights, normal, np.zeros(n), np.ones(n), np.ones(n, bool)
+        upper,
+        np.repeat(lower[:, None], 3, axis=1),
+        weights,
+        normal,
+        np.zeros(n),
+        np.ones(n),
+        np.ones(n, bool),
+        np.zeros((n, 0)),
     )

@@ -55,6 +55,28 @@ def test_the_command_prints_and_writes_the_properties(
     assert {row["property"] for row in rows} == set(of_run["values"])
 
 
+@pytest.mark.slow
+def test_the_command_pulls_and_bends(
+    cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tied splats never part: they bear less than the flow stress of nickel with its strain. The strip bends away from pressure."""
+    monkeypatch.setattr("coupler.properties.pull.MOST", 0.004)
+    asked = ["--pull", "--strip", "1 mm", "--sprayed-at", "500 K"]
+    assert main(["properties", str(cold.directory), "--out", str(tmp_path), *BLOCK, *asked]) == 0
+    said = capsys.readouterr().out
+    assert "bonds of this run never break" in said
+    written = json.loads((tmp_path / "properties.json").read_text())
+    by_direction = {pull["direction"]: pull for pull in written["pull"]}
+    assert set(by_direction) == {"across", "in_plane", "adhesion"}
+    assert all(0.0 < pull["strength_Pa"] < 2e9 for pull in by_direction.values())
+    assert all(pull["energy_error"] < 0.02 for pull in by_direction.values())
+    strip = written["strip"]
+    assert (strip["deposited_1_m"] > 0.0) == (strip["arriving_Pa"] < 0.0)
+    assert strip["misfit_1_m"] != 0.0  # nickel and steel expand by unequal amounts
+    for name in ("pull.csv", "pull.png", "pull_adhesion.vtu", "strip.csv", "strip.inp"):
+        assert (tmp_path / name).stat().st_size > 0
+
+
 def test_what_has_no_cold_coating_or_no_room_is_refused(
     cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

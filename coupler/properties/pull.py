@@ -1,0 +1,224 @@
+"""A block pulled apart: strength across the coating, at the substrate and in the plane, with the bonds that the impacts left.
+
+Two opposite faces move apart without friction; all other faces are free. The bodies are those of the run, elastic-plastic with the
+strain and temperature of each element, at the rates of a tensile test; bonds soften and break by their law (`contact.bond`); what
+touches bears pressure alone. The motion is a dynamic relaxation with its own masses (`fe.relaxed`), whose damping acts on what differs
+from a uniform stretch and contraction: it is nearly static, and the time in it is fictitious.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact.bond import Bond, penalty
+from ..fe.explicit import Target
+from ..fe.mesh import prepare_ordered
+from ..fe.relaxed import Relaxation
+from ..fe.stability import HighestFrequency
+from ..files.outputs import replacing
+from ..files.result import Result
+from ..geometry.triangles import area_vectors
+from ..physics.constitutive import law_record, yield_stresses
+from ..report.picture import blank, save
+from ..studies.table import write_rows
+from .block import Block
+from .measure import Sample, cold_coating, corners, cut
+
+# Strength times thickness of the film over the central value: range of Ni, Cu, Al (docs/theory/bonds.md)
+FILM = (1.0, 0.4, 2.0)
+AXES = {"across": 2, "in_plane": 0, "adhesion": 2}  # direction of a pull -> axis
+STRAIN = 2e-6  # of a step: a wave crosses a block in less than 100 steps
+MOST = 0.03  # strain at which a block that has not parted is left
+PARTED = 0.1  # of the greatest stress: a block that bears less has parted
+EVERY = 50  # steps of a row
+DAMPING = 0.02  # of the critical damping of a step: critical for a motion of some 300 steps
+MASSES = 1e-10  # s: step of each element with the masses of the relaxation
+RATE_TIME = 1.0  # s, of the average of strain rates: they become the plastic strain per s, as in a tensile test
+NAMES = ("pull.csv", "pull.png", "pull_across.vtu", "pull_in_plane.vtu", "pull_adhesion.vtu")
+WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion": "across, with the substrate"}
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A block pulled until it parts or has the strain MOST.
+
+    film: factor on strength times thickness of the oxide film, None where bonds of the run never break; strength: greatest force over
+    the area of the block, pores included; strain: then; has_parted; at_substrate: share of the substrate in the bonded area that has
+    lost half of its strength or more; brittle: share of the bonds in the work of bonds and plastic flow; energy_error: of the whole
+    work, at worst; rows: over strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
+    """
+
+    direction: str
+    film: float | None
+    strength_Pa: float
+    strain: float
+    has_parted: bool
+    at_substrate: float
+    brittle: float
+    energy_error: float
+    rows: list[dict[str, float]] = field(repr=False)
+    opened: tuple[NDArray, NDArray, dict[str, NDArray]] = field(repr=False)
+
+
+def strengths(
+    result: Result, side: float | None = None, heights: tuple[float, float] | None = None, films: tuple[float, ...] = FILM
+) -> list[Pull]:  # fmt: skip
+    """The block of a run (`measure.properties`) pulled in each direction of AXES with each film. adhesion: across a block that includes
+    the substrate, to two elements below it. The energy of a bond is proportional to strength times thickness of the film; what the film
+    changes in the impacts is not included. Tied bonds never break: the strength is the limit of plastic flow between the pores. Raises
+    as `properties`."""
+    plan, splats, metals = cold_coating(result)
+    data, law = splats.mesh.data, None
+    if "bond_strength" in data:
+        sound = data["bonded"][:, None]
+        law = np.concatenate([data["bond_strength"] * sound, data["bond_energy"] * sound**2], axis=1)
+    laws = np.concatenate([law_record(metal, plan.effects.switches, RATE_TIME) for metal in metals])
+    low, high, _ = corners(splats, side, heights)
+    found = []
+    for direction in AXES:
+        first = 0 if direction == "adhesion" else 1  # body of the block
+        lowest = float(splats.mesh.points[splats.mesh.cells[splats.body > 0], 2].min()) - 2.0 * splats.element_size
+        sample = cut(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
+        own = np.flatnonzero(splats.body >= first)[sample.block.parent]
+        state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
+        found += [pull(sample, laws, *state, direction, film) for film in (films if law is not None else (None,))]
+    return found
+
+
+def pull(sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0) -> Pull:
+    """A block pulled along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element. Raises
+    SolverError when a tetrahedron inverts."""
+    machine, greatest = Machine(sample.block, laws, eps_p, T, AXES[direction], film), 0.0
+    rows = [machine.row()]
+    while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
+        rows.append(machine.row())
+        greatest = max(greatest, rows[-1]["stress_Pa"])
+    t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
+    was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others follow
+    owner = np.zeros(len(t.nodes.x), int)
+    owner[t.mesh.conn] = t.law_of[:, None]
+    lost = bond.area * ((bond.damage > 0.5) & was_bonded)
+    below = (owner[bond.triangles[:, 0]] == 0) & (sample.block.body.min() == 0)
+    in_bonds, in_metal, work = (rows[-1][key] for key in ("bonds_J", "plastic_J", "work_J"))
+    return Pull(
+        direction, film, peak["stress_Pa"], peak["strain"], rows[-1]["stress_Pa"] < PARTED * greatest,
+        float(lost @ below / max(lost.sum(), 1e-300)), in_bonds / max(in_bonds + in_metal, 1e-300),
+        max(abs(row["work_J"] - row["stored_or_spent_J"]) for row in rows) / work, rows,
+        (t.nodes.x, bond.triangles, {"damage": bond.damage, "was_bonded": was_bonded}),
+    )  # fmt: skip
+
+
+class Machine:
+    """A block whose two faces normal to `axis` move apart. Arguments: as of `pull`. t, bond: bodies, and bonds between them; force N,
+    work J: of the faces; damped J: what damping has taken; steps: so far."""
+
+    def __init__(self, block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, axis: int, film: float | None):
+        middle, self.axis, self.length = 0.5 * (block.low + block.high), axis, float(block.high[axis] - block.low[axis])
+        mesh, order, by_reach = prepare_ordered(block.points, block.tets, tuple(middle))
+        numbers, law_of = np.unique(block.body[by_reach], return_inverse=True)
+        self.t = t = Target(mesh, laws[numbers], T[by_reach], law_of, fixed=(), track_wave=False)
+        e, none = t.elements, np.zeros((len(T), 3))
+        e.eps_p[:] = eps_p[by_reach]
+        e.sigma_y[:] = yield_stresses(t.laws, t.law_of, e.eps_p, e.T, none)
+        self.bond = _bonds(block, np.argsort(order), t, film)
+        self.relaxation = r = Relaxation(t, np.inf, MASSES)
+        r.weigh(HighestFrequency(len(mesh.points), len(mesh.conn)), MASSES)
+        r.add_mass(0.25 * r.dt**2 * _turning(self.bond, mesh.points).load(len(mesh.points)))
+        self.area, self.away = block.volume / self.length, mesh.points - middle
+        at = self.away[:, axis] / self.length
+        self.lower, self.upper = np.flatnonzero(at < -0.5 + 1e-9), np.flatnonzero(at > 0.5 - 1e-9)
+        self.drift = np.zeros_like(self.away)
+        self.drift[:, axis] = STRAIN / r.dt * self.away[:, axis]
+        t.nodes.v[:] = self.drift
+        self.elastic, self.force, self.work, self.damped, self.steps = t.elastic(), 0.0, 0.0, 0.0, 0
+
+    def row(self) -> dict[str, float]:
+        """Make EVERY steps. Returns their mean stress (over the area of the block), and the energies after them, J."""
+        mean = sum(self.step() for _ in range(EVERY)) / EVERY
+        t, elastic = self.t, self.t.elastic() - self.elastic
+        kinetic = 0.5 * float(self.relaxation.mass @ (t.nodes.v**2).sum(axis=1))
+        spent = elastic + t.balance.plastic + self.bond.work + kinetic + self.damped
+        return {
+            "strain": self.steps * STRAIN, "stress_Pa": mean / self.area, "work_J": self.work, "elastic_J": elastic,
+            "plastic_J": t.balance.plastic, "bonds_J": self.bond.dissipated, "damped_J": self.damped, "stored_or_spent_J": spent,
+        }  # fmt: skip
+
+    def step(self) -> float:
+        """Make one step. Returns the force on a face, N."""
+        t, axis, mass, drift = self.t, self.axis, self.relaxation.mass[:, None], self.drift
+        fit = (mass * self.away * t.nodes.v).sum(axis=0) / (mass * self.away**2).sum(axis=0)
+        for side in {0, 1, 2} - {axis}:
+            drift[:, side] = fit[side] * self.away[:, side]
+        aside = t.nodes.v - drift
+        for face in (self.lower, self.upper):
+            t.nodes.total[face, axis] = 0.0
+        t.nodes.v[:] = drift + (1.0 - DAMPING) / (1.0 + DAMPING) * aside
+        self.relaxation.advance(DAMPING)
+        self.bond.forces(t.nodes.x, t.f_ext)
+        self.relaxation.finish()
+        aside += t.nodes.v - drift
+        # (1 + a) v' = (1 - a) v + dt f / m
+        self.damped += 0.5 * DAMPING * float((mass * aside * (aside + 2.0 * drift)).sum())
+        before, (low, high) = self.force, (t.nodes.total[face, axis].sum() for face in (self.lower, self.upper))
+        self.force = 0.5 * float(low - high)
+        self.work += 0.5 * (before + self.force) * STRAIN * self.length
+        self.steps += 1
+        return self.force
+
+
+def _turning(bond: Bond, x: NDArray) -> Bond:
+    """Bonds with weights that bound how far each corner of a facet moves the point of the bond across a gap: the facet turns by the
+    motion of a corner over its height, which is small where a face of the block has cut the facet. x (n,3) m."""
+    corners = x[bond.triangles]
+    opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
+    twice = 2.0 * np.linalg.norm(area_vectors(x, bond.triangles), axis=1)[:, None]
+    return replace(bond, weights=abs(bond.weights) + abs(bond.gap)[:, None] * opposite / twice)
+
+
+def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
+    """Bonds at the joints of a block, then those that touch, which are broken. node: new number of each node. The width of ligaments,
+    2 G / N, grows with the film; springs bear N at an opening below it, as in `physics.adhesion.ligament_bonds`."""
+    size = float(np.cbrt(6.0 * np.sqrt(2.0) * t.mesh.V0.mean()))  # edge of a regular tetrahedron
+    stiffness, joints = penalty(float(t.laws["K"].min()), size), block.joints
+    law: dict[str, NDArray] = {}
+    for k, direction in enumerate(("", "shear_") if film is not None else ()):
+        strength, energy = joints.law[joints.bonded][:, [k, 2 + k]].T
+        width = 2.0 * (film or 0.0) * energy / strength
+        strength = np.where(width > 0.0, np.minimum(strength, 0.999 * stiffness * width), strength)
+        law |= {f"{direction}strength": strength, f"{direction}energy": 0.5 * strength * width}
+
+    def tie(of: NDArray, **law: Any) -> Bond:
+        rows, x = joints.only(of), t.nodes.x
+        return Bond.tie(node[rows.nodes], node[rows.triangles], x, x, rows.area, stiffness, **law)
+
+    touching = tie(~joints.bonded, strength=1.0, energy=0.0)
+    touching.damage[:] = 1.0
+    return Bond.joined([tie(joints.bonded, **law), touching])
+
+
+def write_pulls(folder: Path, pulls: list[Pull], about: str) -> None:
+    """Write NAMES: stress and energies of each pull over strain, their curves, and the joints in the end, of the central film. Raises
+    StoreError."""
+    rows = [{"direction": p.direction, "film": p.film, **row} for p in pulls for row in p.rows]
+    write_rows(folder / NAMES[0], list(rows[0]), rows, about)
+    figure = blank(5.0, 3.5, 160, "constrained")
+    axes = figure.subplots()
+    for p in pulls:
+        is_central, colour = p.film in (None, 1.0), f"C{list(WORDS).index(p.direction)}"
+        strain, stress = (np.array([row[key] for row in p.rows]) for key in ("strain", "stress_Pa"))
+        label = f"{WORDS[p.direction]}: {p.strength_Pa * 1e-6:.0f} MPa" if is_central else None
+        axes.plot(100.0 * strain, 1e-6 * stress, color=colour, linewidth=1.8 if is_central else 0.7, label=label)
+        if is_central:
+            x, facets, fields = p.opened
+            with replacing(folder / f"pull_{p.direction}.vtu") as part:
+                data = {name: [values.astype(float)] for name, values in fields.items()}
+                meshio.Mesh(x, [("triangle", facets)], cell_data=data).write(part, file_format="vtu")
+    axes.set(xlabel="strain (%)", ylabel="stress (MPa)", xlim=(0.0, None), ylim=(0.0, None))
+    axes.legend(fontsize=8)
+    save(figure, folder / NAMES[1])
