@@ -113,6 +113,7 @@ def report(
             caption = {"after the closing stage, at ambient temperature": section.time}
             page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
             lower, main = section, {name: colours[name] for name in ("eps_p", "in_plane")}
+            page.section("properties", "Properties", parts.properties(result))
         front = _cuts([lower], main, caption) + front
         stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))

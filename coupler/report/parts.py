@@ -7,7 +7,7 @@ from html import escape
 from numpy.typing import NDArray
 
 from ..errors import StoreError
-from ..files.inputs import parse_toml
+from ..files.inputs import parse_toml, read_json_object
 from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
@@ -132,6 +132,31 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
     known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
     stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]
     return definitions([*stress, *((label, f"{value * m.factor:.4g} {m.unit}") for m, label, value in known)])
+
+
+def properties(result: Result) -> str:
+    """What the coating is worth, from the file of `coldspray properties` in the folder of the run; "" without it. Raises StoreError."""
+    path = result.directory / "properties" / "properties.json"
+    if not path.is_file():
+        return ""
+    data: Values = read_json_object(path)
+    kinds = {"E": "Young's modulus", "G": "shear modulus", "k": "heat conductivity", "sigma": "electric conductivity"}
+    try:
+        values = next(iter(data["runs"].values()))["values"].items()
+        lines = [
+            (
+                f"{kinds[key.split('_')[0]]}, {' '.join(key.split('_')[1:])}",
+                f"{of['mixed'] / of['bulk']:.0%} of the bulk",
+            )
+            for key, of in values
+        ]
+        lines += [
+            (f"strength, {pull['direction'].replace('_', ' ')}", f"{1e-6 * pull['strength_Pa']:.0f} MPa")
+            for pull in data.get("pull", []) if pull["film"] in (None, 1.0)
+        ]  # fmt: skip
+    except (AttributeError, KeyError, StopIteration, TypeError, ZeroDivisionError) as error:
+        raise StoreError(f"{path} is damaged: compute the properties again") from error
+    return definitions(lines)
 
 
 def scene_of(result: Result) -> Values:

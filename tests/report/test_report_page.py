@@ -2,6 +2,7 @@
 
 import base64
 import html
+import json
 import re
 import shutil
 from pathlib import Path
@@ -20,7 +21,7 @@ from coupler.files.store import Store
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
-from coupler.report import charts
+from coupler.report import charts, parts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import Range, stage
 from coupler.report.solid import TOP, frames, solid, thinned
@@ -447,3 +448,21 @@ def test_a_cold_run_shows_its_residual_stress(shared_run: SharedRuns) -> None:
     assert "in-plane stress" in section
     assert f"{coating.measure(coating.read(result)).stress_in_plane_Pa * 1e-6:+.0f}" in section
     assert "away from the rim" in section
+
+
+def test_the_page_has_what_the_coating_is_worth(tmp_path: Path) -> None:
+    """From the file of `coldspray properties` in the run; with one film, the central one; a damaged file is named."""
+    (tmp_path / "scene.toml").write_text("")
+    assert parts.properties(Result(tmp_path)) == ""
+    path = tmp_path / "properties" / "properties.json"
+    path.parent.mkdir()
+    pulls = [{"direction": "in_plane", "film": film, "strength_Pa": film * 123e6} for film in (1.0, 2.0)]
+    of_run = {"values": {"E_across": {"mixed": 150e9, "bulk": 200e9}}}
+    path.write_text(json.dumps({"runs": {"here": of_run}, "pull": pulls}))
+    text = parts.properties(Result(tmp_path))
+    assert "<dt>Young&#x27;s modulus, across</dt><dd>75% of the bulk</dd>" in text
+    assert "<dt>strength, in plane</dt><dd>123 MPa</dd>" in text
+    assert "246" not in text
+    path.write_text("{}")
+    with pytest.raises(StoreError, match="damaged: compute the properties again"):
+        parts.properties(Result(tmp_path))
