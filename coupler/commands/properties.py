@@ -20,7 +20,9 @@ ALMEN = 31.75e-3  # m: distance of the feet of an Almen gauge
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    text = "compute Young's modulus, thermal and electrical conductivity, strength and strip curvature of a cold coating"
+    text = (
+        "compute Young's modulus, thermal and electrical conductivity, strength and strip curvature of a cold coating"
+    )
     option = options.add_command(commands, "properties", run, text)
     option("runs", type=options.path, nargs="+", metavar="DIR",
            help="folder of a run with a cold coating; several folders, with different seeds, give the error of the mean")  # fmt: skip

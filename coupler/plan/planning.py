@@ -149,7 +149,9 @@ def _spray(scene: Scene) -> str:
     time_of_pass = 0.25 * math.pi * spray.spot / spray.traverse_speed  # mean over the chords of the spot
     impacts = time_of_pass / d.time_between
     passes = f"{spray.passes} passes in a layer; under the spot " if spray.passes else ""
-    return f"{passes}time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
+    return (
+        f"{passes}time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
+    )
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
