@@ -11,7 +11,7 @@ from ..core.cores import cores
 from ..errors import ColdsprayError, SceneError
 from ..files.inputs import last_lines, reading
 from ..files.result import HISTORY, Result
-from ..plan.job import Job, choose, from_text, processor_time
+from ..plan.job import Job, from_text
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import describe, duration
@@ -62,9 +62,8 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
         found = _gas(job)
         if not verb:
             return found
-        choice, seconds, then = choose(job, processor_time(here.factor), cores())
-        lines = f"about {duration(seconds)} on {cores()} cores: {choice.words}"
-        more = f"{duration(then[1])} would allow: {then[0].words}" if then else ""
+        lines = f"at most {duration(job.data.within)} on {cores()} cores"
+        more = f"in this order while there is time: {'; '.join(part.words for part in job.parts)}"
         return Look((), lines, more, found.numbers, found.drawn, found.classes)
     except SceneError as error:
         return Look(error.problems)
@@ -82,7 +81,7 @@ def _gas(job: Job) -> Look:
         [*job.flow.notes, *([f"assumed values of the nozzle: {job.nozzle.assumed}"] if job.nozzle.assumed else [])]
     )
     drawn = (figures.window(job), figures.flights(job))
-    return Look((), lines, "", tuple(numbers(job, [], Coating({}, {}))), drawn, classes)
+    return Look((), lines, "", tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
 
 
 def now(workspace: Workspace, folder: Path) -> Now:

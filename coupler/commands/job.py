@@ -21,15 +21,16 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute a job, or continue an unfinished one. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..files.inputs import read_text
-    from ..plan.job import processor_time, read
+    from ..plan.job import read
+    from ..plan.planning import plan
     from ..studies import job as study
     from .accuracy import here
 
     job = read(arguments.job)
     out, say = arguments.out or Path("runs") / f"job-{job.name}", teller(arguments.quiet)
     with continuing(out, say):
-        takes = processor_time(here().factor)
-        known = study.compute(job, read_text(arguments.job), out, takes, jobs_of(arguments), say)
+        pace, text = here(), read_text(arguments.job)
+        known = study.compute(job, text, out, lambda scene: pace.seconds(plan(scene)), jobs_of(arguments), say)
     if not arguments.quiet:
         print("\n".join(known["answer"]))
         print(f"\npage in {out / study.PAGE}, numbers in {out / study.RECORD}\n{known['more_time']}")

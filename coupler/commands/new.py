@@ -78,7 +78,7 @@ def new(arguments: argparse.Namespace) -> int:
     else:
         text = (files(__package__) / "templates" / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", out.stem)
     write_text(out, text)
-    print(f"{(KINDS | EXAMPLES)[kind]} in {out}{'; its first lines give the next command' if kind in KINDS else ''}")
+    print(f"{out}: {(KINDS | EXAMPLES)[kind]}{'; its first lines give the next command' if kind in KINDS else ''}")
     if text.startswith("#:schema"):
         write_text(claim_file(out.parent / SCHEMA, (".json",), force=arguments.force), _schema())
         print(f"{SCHEMA} is in the same folder, for editors that check TOML")

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
@@ -18,65 +18,63 @@ from ..scene.tables import read_table
 from ..spray import nozzles
 from ..spray.gas import Flow
 from ..spray.sizes import Sizes
-from ..spray.window import Spray, spray
+from ..spray.window import FASTEST, Spray, spray
 from . import cost
 from . import gas as scene_gas
-from .forecast import forecast
 from .own import with_library
-from .planning import plan
 from .powder import sizes_of
 from .reading import Scene
 
 ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
-BRACKET = 3  # velocities that a search computes before the first bisection
-RATIO = 0.22  # width of the bracket over its middle before the first bisection
 START = 4.0  # processor time of the start of a run and of its pictures, s
 PARALLEL = 0.8  # efficiency of several threads and of runs of unequal length
-WITHIN = 0.4, 1.4  # range of the search for a critical velocity over the velocity of the median particle
 
 
 @dataclass(frozen=True)
-class Choice:
-    """Extent of the computations of a job. The searches for critical velocities have numbers of points, where 0 means no search.
-    bonds: points of the main search; coarser: points of the search that measures the resolution error; sets: points of the searches
-    with the other strength sets of the powder. placements: impacts at each velocity; tolerance: width of the bracket divided by its
-    middle. Coatings: points: points of the largest particle; disc: radius of the disc of the particle centres, in median diameters;
-    layers; seeds: number of coatings."""
+class Search:
+    """A search for the critical velocity of the median particle on the metal `base`. points: points of the particle; placements:
+    impacts at each velocity; tolerance: width of the bracket divided by its middle; strength: another strength set of the powder, ""
+    for its own set."""
 
-    bonds: int
-    placements: int
-    tolerance: float
-    coarser: int
-    sets: int
+    base: str
+    points: int
+    placements: int = 1
+    tolerance: float = 0.1
+    strength: str = ""
+    rounds: ClassVar[int] = 2  # the greatest and the least velocity of the powder, more only for a bracket
+
+    @property
+    def words(self) -> str:
+        """The search as text."""
+        each = f", {self.placements} impacts at each velocity" * (self.placements > 1)
+        return f"bonds on {self.base} with {self.points} points" + f", {self.strength}" * bool(self.strength) + each
+
+    @property
+    def folder(self) -> str:
+        """Folder of its runs in that of the job."""
+        return f"bonds/on_{self.base}/{self.points}" + f"_{self.strength}" * bool(self.strength)
+
+
+@dataclass(frozen=True)
+class Coatings:
+    """Coatings, one for each seed. points: points of the largest particle; disc: radius of the disc of the particle centres, in median
+    diameters; layers: number of layers; seeds: number of coatings."""
+
     points: int
     disc: float
     layers: int
     seeds: int
+    rounds: ClassVar[int] = 1
 
     @property
     def words(self) -> str:
-        """The choice as text."""
-        bonds = f"bonds with {self.bonds} points, {self.placements} at each velocity, bracket of {self.tolerance:.0%}"
-        texts = [bonds if self.bonds else "no bonds"] + ["with the error of the resolution"] * (self.coarser > 0)
-        texts += ["with the other strength sets"] * (self.sets > 0)
-        return f"{', '.join(texts)}; coatings: {self.seeds} of {self.number} particles with {self.points} points"
+        """The coatings as text."""
+        return f"{self.seeds} coatings of {self.number} particles with {self.points} points"
 
     @property
     def number(self) -> int:
         """Number of particles of a coating: in each layer 7.4 times the square of the radius `disc`."""
         return self.layers * round(7.4 * self.disc**2)
-
-
-CHOICES = (
-    Choice(0, 1, 0.1, 0, 0, 400, 0.7, 1, 1),
-    Choice(0, 1, 0.1, 0, 0, 1000, 0.9, 2, 2),
-    Choice(5000, 1, 0.1, 0, 0, 1000, 0.9, 2, 2),
-    Choice(5000, 1, 0.05, 0, 5000, 1000, 0.9, 2, 3),
-    Choice(16000, 1, 0.1, 5000, 5000, 1000, 0.9, 2, 3),
-    Choice(16000, 1, 0.05, 5000, 5000, 1000, 1.2, 3, 4),
-    Choice(16000, 3, 0.05, 5000, 5000, 2000, 1.2, 3, 4),
-    Choice(40000, 3, 0.05, 10000, 16000, 2000, 1.6, 4, 6),
-)
 
 
 @dataclass(frozen=True)
@@ -133,23 +131,23 @@ class Job:
             "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * D**3, points))}, "materials": tables,
         }, f"{self.name}_on_{base}")  # fmt: skip
 
-    def coating(self, choice: Choice, seed: int) -> Scene:
+    def coating(self, part: Coatings, seed: int) -> Scene:
         """The scene of a coating. Its particles are those that stick by the formula, or all particles if none sticks. All particles
         of the scene are tied to the surface."""
-        smallest, median, largest = self.middle(choice.points)
-        radius, spread = choice.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
+        smallest, median, largest = self.middle(part.points)
+        radius, spread = part.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
         metal = self.data.powder.material
         by_number = median * math.exp(-3.0 * spread**2)  # Hatch & Choate (1929), J. Franklin Inst. 207, 369
         return Scene.from_dict({
             "preset": "draft", "gas": self.raw["gas"], "spray": self.raw.get("spray", {}),
             "coating": {
-                "material": metal, "number": choice.number, "layers": choice.layers, "radius": _um(radius), "positions": "even",
+                "material": metal, "number": part.number, "layers": part.layers, "radius": _um(radius), "positions": "even",
                 "diameter": _um(min(max(by_number, smallest), largest)), "spread": max(math.exp(spread), 1.0),
                 "smallest": _um(smallest), "largest": _um(largest), "seed": seed,
             },
             "substrate": self._base(self.data.substrate.material, 2.0 * radius + 3.7 * median, 3.0 * median),
             "adhesion": {"kind": "tied", "criterion": "all"}, "output": {"at": "ends"},
-            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * largest**3, choice.points))},
+            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * largest**3, part.points))},
             "materials": self._materials(metal, self.data.substrate.material), "nozzles": self.raw["nozzles"],
         }, f"{self.name}_coating")  # fmt: skip
 
@@ -161,6 +159,25 @@ class Job:
         median = self.sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
         half = (points / ROOM) ** (1.0 / 6.0)
         return max(median / half, self.sizes.diameter(0.05)), median, min(median * half, self.sizes.diameter(0.95))
+
+    @cached_property
+    def parts(self) -> tuple[Search | Coatings, ...]:
+        """The computations of the job in the order of their worth."""
+        sets = [Search(base, 5000, strength=name) for base in self.bases for name in self.other_sets]
+        return (
+            *(Search(base, 5000) for base in self.bases), Coatings(1000, 0.9, 2, 2),
+            *(Search(base, 16000) for base in self.bases), *sets,
+            Coatings(1000, 1.2, 3, 4),
+            *(Search(base, 16000, 3, 0.05) for base in self.bases), Coatings(2000, 1.2, 3, 4),
+            *(Search(base, 40000, 3, 0.05) for base in self.bases), Coatings(2000, 1.6, 4, 6),
+        )  # fmt: skip
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest velocity of the powder, m/s. Each size counts with the velocity at which the median particle has the
+        same ratio of velocity to critical velocity by the formula."""
+        same = self.arrived.ratio.clip(max=FASTEST) * self.arrived.critical[len(self.arrived.share) // 2]
+        return math.floor(same.min()), math.ceil(same.max())
 
     @property
     def bases(self) -> tuple[str, ...]:
@@ -238,42 +255,11 @@ def from_text(text: str, path: Path, kind: type[JobData] = JobData) -> Job:
     return Job(path.stem, raw, data, sizes, metals, known[data.gas.nozzle])
 
 
-def seconds(job: Job, choice: Choice, takes: Callable[[Scene], float], cores: int) -> float:
-    """Wall time of the computations of a choice on `cores` cores, s. takes(scene): function that gives the processor time of a run,
-    s."""
-    halvings = math.ceil(math.log2(RATIO / choice.tolerance))
-    each, total = choice.placements * (BRACKET + halvings), choice.seeds * (takes(job.coating(choice, 1)) + START)
-    rough = BRACKET + 1
-    for base in job.bases if choice.bonds else ():
-        total += each * (takes(job.on(base, choice.bonds)) + START)
-        total += rough * (takes(job.on(base, choice.coarser)) + START) if choice.coarser else 0.0
-        if choice.sets:
-            total += rough * len(job.other_sets) * (takes(job.on(base, choice.sets)) + START)
-    return total / (PARALLEL * cores)
-
-
-def choose(job: Job, takes: Callable[[Scene], float], cores: int) -> tuple[Choice, float, tuple[Choice, float] | None]:
-    """The largest of CHOICES that fits into the time of the job, its wall time (s), and the next larger choice with its time (None
-    after the last). takes, cores: as in `seconds`. Raises SceneError if even the smallest choice takes longer."""
-    best: tuple[Choice, float] | None = None
-    for choice in CHOICES:
-        time = seconds(job, choice, takes, cores)
-        if time > job.data.within:
-            if best is None:
-                least = units.rounded(time, "min", 2)
-                raise SceneError(
-                    [
-                        f"within = {units.rounded(job.data.within, 'min')}: too short, the smallest choice takes {least} here"
-                    ],
-                    job.name,
-                )
-            return *best, (choice, time)
-        best = choice, time
-    assert best is not None
-    return *best, None
-
-
-def processor_time(factor: float) -> Callable[[Scene], float]:
-    """A function that gives the expected processor time of a scene, s. factor: processor time on this machine divided by the time of
-    the cost model."""
-    return lambda scene: factor * forecast(plan(scene)).whole
+def seconds(job: Job, part: Search | Coatings, takes: Callable[[Scene], float], cores: int) -> float:
+    """Expected wall time of a round of a part on `cores` cores, s. A round is all impacts at one velocity, or all coatings.
+    takes(scene): function that gives the processor time of a run, s."""
+    if isinstance(part, Search):
+        runs, scene = part.placements, job.on(part.base, part.points, part.strength)
+    else:
+        runs, scene = part.seeds, job.coating(part, 1)
+    return runs * (takes(scene) + START) / (PARALLEL * cores)

@@ -10,7 +10,7 @@ import math
 import re
 import time
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, stdev
@@ -227,19 +227,21 @@ def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 def search(
     scene: Scene, folder: Path, limits: tuple[float, float] = (LOWEST, HIGHEST), tolerance: float = TOLERANCE,
     log: Log = print, repeat: int = 1, jobs: int = 1, about: str = "",
+    start: float | None = None, more: Callable[[float], bool] = lambda _: True,
 ) -> tuple[Bracket, list[Row]]:  # fmt: skip
     """Compute runs of the scene in folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
 
     folder/critical.csv is written after each velocity, with `about` above its rows. Finished runs in the folder are used. limits
     (m/s), tolerance: as in `next_velocity`. repeat: number of placements at each velocity; jobs: number of runs at the same time. The
     majority of the placements decides the verdict at a velocity. An undecided run continues once, for the same time again; if it
-    stays undecided it counts as one half in the fraction that sticks. log: receives a line for each velocity. Raises SceneError for a
-    scene without computed bonds, StoreError when a run fails.
+    stays undecided it counts as one half in the fraction that sticks. log: receives a line for each velocity. start: first velocity,
+    m/s (default: critical velocity of the formula); more(seconds): whether the search continues after a velocity that took this time.
+    Raises SceneError for a scene without computed bonds, StoreError when a run fails.
     """
     check(scene)
-    start, runs = plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
-    rows = rows_of(runs)
-    while True:
+    start, runs = start or plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
+    rows, seconds = rows_of(runs), 0.0
+    while more(seconds):
         shares = shares_of(rows, repeat)
         if (velocity := next_velocity(verdicts_of(shares), start, limits, tolerance)) is None:
             break

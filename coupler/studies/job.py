@@ -1,7 +1,9 @@
 """A job: one question of a process engineer. Its answer is a folder of runs, the file job.json and one HTML page."""
 
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -11,10 +13,12 @@ from matplotlib.figure import Figure
 from pydantic_core import to_json
 
 from .. import __version__
+from ..errors import ColdsprayError
+from ..files.inputs import read_json_object
 from ..files.outputs import MARK, write_text
 from ..files.result import Result
 from ..measures import STICKS
-from ..plan.job import Job, choose
+from ..plan.job import Coatings, Job, Search, seconds
 from ..plan.reading import Scene
 from ..plan.text import duration
 from ..report import parts
@@ -22,34 +26,70 @@ from ..report.page import Page
 from ..report.picture import blank, embedded, image_of
 from . import coating_files
 from .coating import read
+from .critical import Bracket
 from .job_numbers import BAND, Number, numbers, record
-from .job_parts import Bonds, Coating, bonds, coatings, efficiency, folder_of, with_errors
+from .job_parts import Bonds, Coating, bonds, coatings, efficiency, folder_of, search
 from .runs import Log
 from .trust import RULE
 
 PAGE, RECORD = "job.html", "job.json"
+SAFETY = 2.0  # a part begins, and a search goes on, if this many times its expected time is left
 
 
 def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], jobs: int, log: Log) -> dict[str, Any]:
-    """Compute the runs of a job that are missing in its folder; write job.json and job.html. Returns the contents of job.json.
+    """Compute the parts of a job that are missing in its folder while there is time. Writes job.json and job.html after each part.
+    Returns the contents of job.json.
 
     text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
-    SceneError if the time of the job is too short, StoreError if the folder holds another job.
+    StoreError if the folder holds another job.
     """
-    choice, seconds, then = choose(job, takes, jobs)  # before the folder is made
     folder_of(text, out)
-    log(f"chosen for {duration(job.data.within)}: {choice.words}; about {duration(seconds)} on this machine")
-    found = [bonds(job, choice, base, out, jobs, log) for base in job.bases] if choice.bonds else []
-    sticks = job.arrived.fates()[STICKS] > 0.0 or any(efficiency(job.arrived, each)[0] > 0.0 for each in found)
-    coating = coatings(job, choice, out, jobs, log) if sticks else Coating({}, {})
-    found = [with_errors(job, choice, each, out, jobs, log) for each in found]
-    known = {"version": __version__, **record(job, choice, seconds, then, found, coating)}
-    write_text(out / RECORD, to_json(known, indent=1, inf_nan_mode="null").decode() + "\n")
-    write_text(out / PAGE, page(job, text, out, known, found, coating))
-    return known
+    before: Any = read_json_object(out / RECORD).get("computed_s", {}) if (out / RECORD).exists() else {}
+    sticks, end = job.arrived.fates()[STICKS] > 0.0, time.monotonic() + job.data.within
+    usual, kind = 1.0, ""  # of a part: expected time of a round, s; its class
+    pace = {"Search": 1.0, "Coatings": 1.0}  # greatest ratio of time to expected time
+    done, left, failed = dict[str, float](), dict[str, float](), dict[str, str]()
+    found, coating = dict[Search, Bracket](), Coating({}, {})
+
+    def write() -> dict[str, Any]:
+        times, known = {"computed_s": done, "left_out_s": left, "failed": failed}, bonds(job, found)
+        values = {"version": __version__, **record(job, times, known, coating)}
+        write_text(out / RECORD, to_json(values, indent=1, inf_nan_mode="null").decode() + "\n")
+        write_text(out / PAGE, page(job, text, out, values, known, coating))
+        return values
+
+    def more(last: float, rounds: int = 1) -> bool:
+        pace[kind] = max(pace[kind], last / usual)
+        return SAFETY * rounds * pace[kind] * usual <= end - time.monotonic()
+
+    for part in job.parts:
+        usual, kind = seconds(job, part, takes, jobs), type(part).__name__
+        if isinstance(part, Coatings) and not sticks:
+            continue
+        left[part.words] = part.rounds * pace[kind] * usual
+        if part.words not in before and not more(0.0, part.rounds):
+            continue
+        log(f"{part.words}: about {duration(left[part.words])}")
+        begun = time.monotonic()
+        try:
+            if isinstance(part, Coatings):
+                finer = coatings(job, part, out, jobs, log)
+                coating = finer if finer.measures else replace(coating, failed={**coating.failed, **finer.failed})
+                more(time.monotonic() - begun)
+            elif bracket := search(job, part, out, jobs, log, more):
+                found[part] = bracket
+                sticks |= efficiency(job.arrived, Bonds(part.base, "", bracket))[0] > 0.0
+            else:
+                continue
+        except ColdsprayError as error:
+            failed[part.words] = str(error)
+        del left[part.words]
+        done[part.words] = before.get(part.words, 0.0) + time.monotonic() - begun
+        write()
+    return write()
 
 
-def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
+def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Mapping[str, Bonds], coating: Coating) -> str:
     """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
     coating."""
     lines, sheet = numbers(job, found, coating), Page()
@@ -69,7 +109,7 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Sequence[
     front = f'<p id="verdict">{said}</p>{_table(lines)}{errors}{trusted}<div class="two">{images}</div>'
     failed = [f"{name}: {why}" for name, why in known["failed"].items()]
     front += "".join(f'<p class="warn">{escape(line)}</p>' for line in failed)
-    sheet.section("computed", "How it was computed", _computed(known, found, coating))
+    sheet.section("computed", "How it was computed", _computed(known, found))
     sheet.section("time", "What more time would give", f"<p>{escape(known['more_time'])}.</p>")
     sheet.section("assumed", "Assumptions", parts.items(_assumed(job)))
     sheet.section("job", "The job", f"<pre>{escape(text)}</pre>")
@@ -101,15 +141,11 @@ def _table(lines: Sequence[Number]) -> str:
     return parts.table(("", "by formula", "computed", "trust", "how"), rows, stack=True)
 
 
-def _computed(known: dict[str, Any], found: Sequence[Bonds], coating: Coating) -> str:
-    runs = [f"{each.folder}: search of the critical velocity on {each.base}; {each.found.words}" for each in found]
-    runs += [
-        f"{folder}: {c.of} particles, {c.thickness_mean_m * 1e6:.1f} µm mean thickness"
-        for folder, c in coating.measures.items()
-    ]
+def _computed(known: dict[str, Any], found: Mapping[str, Bonds]) -> str:
+    texts = [f"{words}: {duration(seconds)}" for words, seconds in known["computed_s"].items()]
+    texts += [f"{each.folder}: {each.found.words}" for each in found.values()]
     how = "Each folder has the scene.toml of its run: coldspray report FOLDER shows a run, coldspray run computes its scene again."
-    expected = f"<p>{escape(known['computed'])}; about {duration(known['expected_s'])} were expected.</p>"
-    return f"{expected}{parts.items(runs)}<p>{how}</p>"
+    return f"{parts.items(texts)}<p>{how}</p>"
 
 
 def _assumed(job: Job) -> list[str]:
@@ -129,33 +165,30 @@ def _assumed(job: Job) -> list[str]:
     ]
 
 
-def window(job: Job, found: Sequence[Bonds]) -> Figure:
+def window(job: Job, found: Mapping[str, Bonds]) -> Figure:
     """Figure of velocity against diameter: the powder at impact, and the critical velocities of the pair of metals from the formula
     and from computed bonds."""
     spray, figure = job.arrived, blank(5.6, 3.9, 130, "constrained")
     axis, D = figure.add_subplot(), 1e6 * spray.diameter
     axis.plot(D, spray.velocity, "o-", color="k", ms=3, label="powder at impact (25 classes of equal mass)")
-    curves = {
+    scale = spray.critical / spray.critical[len(D) // 2]
+    formula = {
         job.data.substrate.material: [each.base_critical for each in spray.formula],
         job.data.powder.material: [each.critical for each in spray.formula],
     }
-    for colour, (name, critical) in zip(("#0072b2", "#d55e00"), curves.items(), strict=False):
-        if None not in critical:
-            v = np.array(critical, float)
-            axis.plot(D, v, "--", color=colour, label=f"critical, formula for {name}")
-            axis.fill_between(D, (1 - BAND) * v, (1 + BAND) * v, color=colour, alpha=0.12, linewidth=0)
-    scale = spray.critical / spray.critical[len(D) // 2]
-    for colour, each in zip(("#009e73", "#cc79a7"), found, strict=False):
-        low, high = each.band
-        if each.failed:
-            continue
-        if math.isinf(each.velocity):
-            axis.plot(D, low * scale, ":", color=colour, label=f"critical, bonds on {each.base}: above this line")
-        else:
-            axis.plot(D, each.velocity * scale, "-", color=colour, label=f"critical, bonds on {each.base}")
-            axis.fill_between(
-                D, low * scale, min(high, 2.0 * each.velocity) * scale, color=colour, alpha=0.15, linewidth=0
-            )
+
+    def curve(label: str, style: str, colour: str, v: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        axis.plot(D, v, style, color=colour, label=f"critical, {label}")
+        axis.fill_between(D, low, high, color=colour, alpha=0.13, linewidth=0)
+
+    for colour, (name, critical) in zip(("#0072b2", "#d55e00"), formula.items(), strict=False):
+        v = np.array(critical, float)
+        curve(f"formula for {name}", "--", colour, v, (1 - BAND) * v, (1 + BAND) * v)
+    for colour, each in zip(("#009e73", "#cc79a7"), found.values(), strict=False):
+        low, high, above = *each.band, math.isinf(each.velocity)
+        v = scale * (low if above else each.velocity)
+        words = f"bonds on {each.base}" + ": above this line" * above
+        curve(words, ":" if above else "-", colour, v, scale * low, v if above else np.minimum(scale * high, 2.0 * v))
     axis.set(xlabel="diameter (µm)", ylabel="velocity (m/s)", ylim=(0.0, None))
     axis.legend(fontsize=7)
     return figure

@@ -1,31 +1,35 @@
 """The numbers of a job with ranges, trust marks and origins. They are the contents of job.json and the table of its page."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from statistics import fmean
 from typing import Any
 
-import numpy as np
-
-from ..measures import STICKS
-from ..plan.job import Choice, Job
+from ..plan.job import Job
 from ..plan.text import duration
 from ..report.words import with_error
-from ..spray.window import Spray
-from .coating import CoatingMeasures
-from .job_parts import Bonds, Coating, efficiency, ends, thickness
+from .coating_seeds import seed_error
+from .job_parts import Bonds, Coating, Range, efficiency, ends, sticking, thickness
 from .trust import mark
 
 BAND = 0.2  # relative uncertainty of the critical velocity by the formula, as in `coldspray window`
 AGREE = 0.5  # share of the mass: two values on different sides of it disagree
 FLOWN, CRITICAL = "velocity at impact", "critical velocity"
+RESOLUTION, STRENGTH, CHANCE = "resolution of the impacts", "strength of the powder", "chance of the coating"
 NOT_IN = (
-    "oxide film (its strength is known within a factor of two)", "friction", "gas and drag", "resolution of the coatings",
-    "shape of the powder",
+    RESOLUTION, STRENGTH, CHANCE, "oxide film (its strength is known within a factor of two)", "friction", "gas and drag",
+    "resolution of the coatings", "shape of the powder",
 )  # fmt: skip
+BLOCK = "block of the coating, all splats bonded"
+NEXT = 3  # parts that are named with their times
 APART = "Formula and computed bonds disagree."
+FIRST, LATER = "Share of the powder that sticks on", "Deposition efficiency after the first layer"
+NEEDS = (
+    "By bonds no size sticks: a first layer then needs what an impact on a clean flat surface lacks, such as roughness, further hits on"
+    " the same place, or a thinner oxide film."
+)
 COATING = "Porosity", "Roughness Sa", "Residual stress in the plane"
-Range = tuple[float, float, float]  # value, least, greatest
 
 
 @dataclass(frozen=True)
@@ -44,19 +48,11 @@ class Number:
     folder: str = ""
 
 
-def formula_share(spray: Spray, on_substrate: bool) -> Range:
-    """Mass fraction that sticks by the formula. Returns also its smallest and largest value if the critical velocity changes by
-    BAND."""
-    each = [spray.fates(f, on_substrate)[STICKS] for f in (1.0, *np.linspace(1.0 - BAND, 1.0 + BAND, 9).tolist())]
-    return each[0], min(each), max(each)
-
-
-def numbers(job: Job, bonds: Sequence[Bonds], coating: Coating) -> list[Number]:
+def numbers(job: Job, bonds: Mapping[str, Bonds], coating: Coating) -> list[Number]:
     """All lines of the table of numbers, in their order."""
     spray, lines = job.arrived, [flown(job)]
     for base in job.bases:
-        found = next((each for each in bonds if each.base == base), None)
-        lines += on_metal(job, base, found if found is None or not found.failed else None)
+        lines += on_metal(job, base, bonds.get(base))
     share, v = lines[-1].values, float(spray.velocity[len(spray.velocity) // 2])
     return lines + of_coating(job, share, coating, v)
 
@@ -87,17 +83,13 @@ def on_metal(job: Job, base: str, found: Bonds | None) -> list[Number]:
     label = f"Critical velocity on {base}" + (", after the first layer" if is_own else ", the first layer")
     values = {"formula": band, "computed": by_bonds}
     critical = Number(label, f"{by_formula} m/s", critical_words(found), values, *marked, how, folder)
-    share, of_bonds = formula_share(spray, not is_own), efficiency(spray, found) if found else None
+    share = sticking(spray, 1.0, 1.0 - BAND, 1.0 + BAND, not is_own)
+    of_bonds = efficiency(spray, found) if found else None
     marked = mark((CRITICAL, FLOWN) if found else (), metal, v, name)
-    label = (
-        f"Deposition efficiency after the first layer, {base} on {base}"
-        if is_own
-        else f"Share of the powder that sticks on {base}"
-    )
-    how = "mass of particles between 1 and 2 times (erosion) their critical velocity"
+    label = f"Deposition efficiency after the first layer, {base} on {base}" if is_own else f"{FIRST} {base}"
+    how = "mass that flies faster than its critical velocity, and slower than twice that (erosion)"
     values = {"formula": share, "computed": of_bonds}
-    by_bonds_too = _percent(of_bonds) if of_bonds else ""
-    return [critical, Number(label, _percent(share), by_bonds_too, values, *marked, how, folder)]
+    return [critical, Number(label, _shown(share, ".0%"), _shown(of_bonds, ".0%"), values, *marked, how, folder)]
 
 
 def critical_words(found: Bonds | None) -> str:
@@ -105,11 +97,12 @@ def critical_words(found: Bonds | None) -> str:
     if found is None:
         return "not computed"
     low, high = ends(found.found)
+    least, most = found.band
     if math.isinf(high):
-        return f"above {low:.0f} m/s" if low else "no verdict"
+        other = f" ({least:.0f} with another strength)" if least < low else ""
+        return f"above {low:.0f} m/s{other}" if low else "no verdict"
     if found.found.low is None:
         return f"below {high:.0f} m/s"
-    least, most = found.band
     return f"{found.velocity:.0f} m/s ({least:.0f} to {'-' if math.isinf(most) else f'{most:.0f}'})"
 
 
@@ -119,29 +112,29 @@ def of_coating(job: Job, shares: dict[str, Range | None], coating: Coating, v: f
     if not coating.measures:
         return []
     name, (folder, first) = job.metal.name, next(iter(coating.measures.items()))
-    porosity, spot = coating.over(pores).mean, f"{1e3 * job.data.spray.spot:.3g} mm"
-    layers = {by: share and _range(thickness(job, x, porosity) for x in share) for by, share in shares.items()}
+    each, worth = coating.measures.values(), [each.values for each in coating.properties.values()]
+    pores, spot = [c.porosity_open + c.porosity_closed for c in each], f"{1e3 * job.data.spray.spot:.3g} mm"
+    layers = {by: share and _range(thickness(job, x, fmean(pores)) for x in share) for by, share in shares.items()}
     quantities = (CRITICAL, FLOWN) if shares["computed"] else ()
     how = f"feed × efficiency / (density × (1 - porosity) × gun speed × spot), mean over the spot of {spot}"
-    by_formula, by_bonds = (_um(layers[by]) for by in ("formula", "computed"))
+    by_formula, by_bonds = (_shown(layers[by], ".3g", 1e6, " µm") for by in ("formula", "computed"))
     lines = [Number("Thickness of one pass", by_formula, by_bonds, layers, *mark(quantities, name, v), how, folder)]
-    for label, of, value, factor, unit, how in (
-        ("Porosity", ("density",), pores, 100.0, "%", f"open and closed pores thicker than {1e6 * first.void_limit_m:.2f} µm"),
-        ("Roughness Sa", (), lambda c: c.Sa_m, 1e6, "µm", "mean distance of the surface from its mean height"),
-        ("Residual stress in the plane", ("stress",), lambda c: c.stress_in_plane_Pa, 1e-6, "MPa", "mean of the"
-        " cold coating; negative values are compression"),
+    voids = f"open and closed pores thicker than {1e6 * first.void_limit_m:.2f} µm"
+    for label, of, seeds, factor, unit, how in (
+        ("Porosity", ("density",), pores, 100.0, "%", voids),
+        ("Roughness Sa", (), [c.Sa_m for c in each], 1e6, "µm", "mean distance of the surface from its mean height"),
+        ("Residual stress in the plane", ("stress",), [c.stress_in_plane_Pa for c in each], 1e-6, "MPa", "cold mean; compression < 0"),
+        ("Young's modulus in the plane", (), [w["E_in_plane"].mixed for w in worth], 1e-9, "GPa", BLOCK),
+        ("Heat conductivity across", (), [w["k_across"].mixed for w in worth], 1.0, "W/mK", BLOCK),
     ):  # fmt: skip
-        over = coating.over(value)
+        if not seeds:
+            continue
+        over = seed_error(seeds)
         mean, error = factor * over.mean, factor * over.error
-        text = with_error(mean, error) if over.seeds > 1 else f"{mean:.2g}"
+        text = with_error(mean, error) if over.seeds > 1 else f"{mean:.3g}"
         values: dict[str, Range | None] = {"computed": (over.mean, over.least, over.greatest)}
         lines.append(Number(label, "", f"{text} {unit}", values, *mark(of, name, v), how, folder))
     return lines
-
-
-def pores(coating: CoatingMeasures) -> float:
-    """The sum of open and closed porosity."""
-    return coating.porosity_open + coating.porosity_closed
 
 
 def _range(values: Iterable[float]) -> Range:
@@ -149,69 +142,51 @@ def _range(values: Iterable[float]) -> Range:
     return value, low, high
 
 
-def _percent(share: Range) -> str:
-    return f"{share[0]:.0%}" + (f" ({share[1]:.0%} to {share[2]:.0%})" if share[1] != share[2] else "")
+def _shown(values: Range | None, digits: str, factor: float = 1.0, unit: str = "") -> str:
+    """A range as text; "" for none."""
+    value, low, high = (f"{factor * x:{digits}}{unit}" for x in values or (0.0, 0.0, 0.0))
+    return "" if values is None else value + f" ({low} to {high})" * (low != high)
 
 
-def _um(layer: Range | None) -> str:
-    if layer is None:
-        return ""
-    value, low, high = (f"{1e6 * x:.3g}" for x in layer)
-    return f"{value} µm" + (f" ({low} to {high})" if low != high else "")
-
-
-def answer(job: Job, lines: Sequence[Number]) -> list[str]:
+def answer(lines: Sequence[Number]) -> list[str]:
     """The answer of the job in sentences. Disagreements between formula and computed bonds come first."""
     texts = []
     for line in lines:
-        if (by_formula := line.values.get("formula")) is None or "ritical" in line.label or "Thickness" in line.label:
+        if not line.label.startswith((FIRST, LATER)):
             continue
-        by_bonds = line.values["computed"]
-        text = f"{line.label}: {line.formula} by the formula, {line.computed if by_bonds else 'not computed'} by computed bonds."
-        apart = by_bonds is not None and (by_formula[0] > AGREE) != (by_bonds[0] > AGREE)
-        texts.append(f"{APART} {text}" if apart else text)
-    coating = ", ".join(
-        f"{line.label[0].lower()}{line.label[1:]} {line.computed}" for line in lines if line.label in COATING
-    )
+        by_formula, by_bonds = line.values["formula"], line.values["computed"]
+        apart = by_formula and by_bonds and (by_formula[0] > AGREE) != (by_bonds[0] > AGREE)
+        text = f"{line.label}: {line.formula} by the formula, {line.computed or 'not computed'} by bonds."
+        none = by_bonds and by_bonds[2] == 0.0 and line.label.startswith(FIRST)
+        texts.append(f"{APART} " * bool(apart) + text + f" {NEEDS}" * bool(none))
+    ours = [line for line in lines if line.label in COATING]
+    coating = ", ".join(f"{line.label[0].lower()}{line.label[1:]} {line.computed}" for line in ours)
     texts.sort(key=lambda text: not text.startswith(APART))
     return [*texts, f"Coating, if all its particles stick: {coating}." if coating else "No coating is computed."]
 
 
-def errors_in(choice: Choice, bonds: Sequence[Bonds], coating: Coating) -> list[str]:
-    """Text: the kinds of error that the ranges of the numbers include."""
-    texts = [f"by the formula: ± {BAND:.0%} of the critical velocity"]
-    if bonds:
-        texts.append(f"by bonds: the bracket of the search ({choice.tolerance:.0%})")
-        texts += ["the resolution of the impacts"] if any(each.error is not None for each in bonds) else []
-        sets = dict.fromkeys(name for each in bonds for name in each.sets)
-        texts += [f"the strength of the powder ({', '.join(sets)})"] if sets else []
-    if len(coating.measures) > 1:
-        texts.append(
-            f"for the coating: standard error of the mean of {len(coating.measures)} coatings of different particles"
-        )
-    return texts
-
-
-def record(
-    job: Job, choice: Choice, seconds: float, then: tuple[Choice, float] | None, bonds: Sequence[Bonds], coating: Coating
-) -> dict[str, Any]:  # fmt: skip
-    """The contents of job.json, SI."""
-    lines = numbers(job, bonds, coating)
-    is_in = {
-        "resolution of the impacts": choice.coarser,
-        "strength of the powder": choice.sets,
-        "scatter between coatings": choice.seeds > 1,
-    }
-    more = (
-        f"{duration(then[1])} would allow: {then[0].words}"
-        if then
-        else "more time changes nothing: this is the most that a job computes"
+def errors_in(bonds: Mapping[str, Bonds], coating: Coating) -> dict[str, str]:
+    """The errors that the ranges of the numbers include: name -> text."""
+    sets, seeds = dict.fromkeys(name for each in bonds.values() for name in each.sets), len(coating.measures)
+    known = (
+        ("formula", True, f"by the formula: ± {BAND:.0%} of the critical velocity"),
+        ("bracket", bonds, "by bonds: the bracket of the search"),
+        (RESOLUTION, any(each.error is not None for each in bonds.values()), f"the {RESOLUTION}"),
+        (STRENGTH, sets, f"the {STRENGTH} ({', '.join(sets)})"),
+        (CHANCE, seeds > 1, f"for the coating: standard error of the mean of {seeds} coatings of different particles"),
     )
+    return {name: text for name, there, text in known if there}
+
+
+def record(job: Job, parts: Mapping[str, Any], bonds: Mapping[str, Bonds], coating: Coating) -> dict[str, Any]:
+    """The contents of job.json, SI. parts: "computed_s" -> part -> time, s; "left_out_s" -> part -> expected time, s; "failed" -> part
+    -> reason."""
+    lines, texts = numbers(job, bonds, coating), errors_in(bonds, coating)
+    left = [f"{words} ({duration(seconds)})" for words, seconds in parts["left_out_s"].items()]
+    more = "; ".join([*left[:NEXT], f"{len(left) - NEXT} further parts"] if len(left) > NEXT else left)
     return {
-        "job": job.name, "answer": answer(job, lines), "numbers": [asdict(line) for line in lines],
-        "errors_in": errors_in(choice, bonds, coating),
-        "errors_not_in": [*(name for name, there in is_in.items() if not there), *NOT_IN],
-        "choice": asdict(choice), "computed": choice.words, "expected_s": seconds, "more_time": more,
-        "failed": {each.folder: each.failed for each in bonds if each.failed} | dict(coating.failed),
-        "bonds": [asdict(each) for each in bonds],
+        "job": job.name, "answer": answer(lines), "numbers": [asdict(line) for line in lines],
+        "errors_in": list(texts.values()), "errors_not_in": [name for name in NOT_IN if name not in texts], **parts,
+        "more_time": f"more time would buy: {more}" if left else "more time changes nothing: a job computes no more than this",
+        "failed": parts["failed"] | dict(coating.failed), "bonds": [asdict(each) for each in bonds.values()],
     }  # fmt: skip

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,30 +13,29 @@ from ..errors import ColdsprayError, StoreError
 from ..files.inputs import parse_toml, read_toml
 from ..files.outputs import claim_folder, write_text
 from ..measures import STICKS
-from ..plan.job import WITHIN, Choice, Job
-from ..spray.window import Spray
+from ..plan.job import Coatings, Job, Search
+from ..spray.window import EROSION, Spray
 from . import critical
-from .coating import CoatingMeasures, SeedError, measure
+from .coating import CoatingMeasures, measure
 from .coating import read as read_coating
-from .coating_seeds import seed_error
 from .runs import Log, results
 
-FILES = ("job.toml", "job.json", "job.html", "window.png", "micrograph.png")
-OTHER = 0.1  # width of a bracket over its middle, for searches that measure an error
+FILES = ("job.toml", "job.json", "job.html", "micrograph.png")
+
+
+Range = tuple[float, float, float]  # value, least, greatest
 
 
 @dataclass(frozen=True)
 class Bonds:
     """Critical velocity of the median particle on the metal `base`, from computed bonds. folder: folder of the runs; found: bracket;
-    error: resolution error, m/s, None if not measured; sets: bracket for each other strength set of the powder; failed: why there is
-    no bracket."""
+    error: resolution error, m/s, None if not measured; sets: bracket for each other strength set of the powder."""
 
     base: str
     folder: str
     found: critical.Bracket
     error: float | None = None
     sets: Mapping[str, critical.Bracket] = field(default_factory=dict)
-    failed: str = ""
 
     @property
     def velocity(self) -> float:
@@ -61,16 +62,12 @@ def ends(found: critical.Bracket) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Coating:
-    """Coatings of several seeds. measures: measures of each coating by its folder; failed: reason for each point without a
-    coating."""
+    """Coatings of several seeds. measures: measures of each coating by its folder; failed: reason for each point without a coating;
+    properties: `coupler.properties.measure.Properties` of each coating by its folder."""
 
     measures: Mapping[str, CoatingMeasures]
     failed: Mapping[str, str]
-
-    def over(self, value: Callable[[CoatingMeasures], float]) -> SeedError:
-        """A measure as mean over the seeds, with its error. At least one seed must have measures. value: function that gives the
-        measure of a coating."""
-        return seed_error([value(each) for each in self.measures.values()])
+    properties: Mapping[str, Any] = field(default_factory=dict)
 
 
 def folder_of(text: str, out: Path) -> None:
@@ -84,71 +81,71 @@ def folder_of(text: str, out: Path) -> None:
 
 
 def search(
-    job: Job, base: str, points: int, tolerance: float, placements: int, out: Path, jobs: int, log: Log, strength: str = ""
-) -> critical.Bracket:  # fmt: skip
-    """Search the critical velocity of the median particle on a metal. points, tolerance, placements: as in `Choice`; strength:
-    another strength set of the powder. Raises ColdsprayError if no velocity can be computed."""
-    v = float(job.arrived.velocity[len(job.arrived.velocity) // 2])
-    name = "_".join([f"{points}", *([strength] if strength else [])])
-    log(f"critical velocity on {base}: {points} points{', ' + strength if strength else ''}")
-    folder, limits = out / "bonds" / f"on_{base}" / name, (WITHIN[0] * v, WITHIN[1] * v)
-    return critical.search(job.on(base, points, strength), folder, limits, tolerance, log, placements, jobs)[0]
+    job: Job, part: Search, out: Path, jobs: int, log: Log, more: Callable[[float], bool]
+) -> critical.Bracket | None:
+    """Search the critical velocity of the median particle on a metal within the velocities of the powder (`Job.reach`). If the
+    particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
+    `critical.search`. None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no velocity can be
+    computed."""
+    scene, (slowest, fastest), folder = job.on(part.base, part.points, part.strength), job.reach, out / part.folder
+    for least in (slowest, fastest / EROSION):
+        found, rows = critical.search(
+            scene, folder, (least, fastest), part.tolerance, log, part.placements, jobs, start=fastest, more=more
+        )
+        if found.low is not None:
+            return found
+        if min((row["velocity_m_s"] for row in rows), default=math.inf) > slowest:
+            return None
+    return found
 
 
-def bonds(job: Job, choice: Choice, base: str, out: Path, jobs: int, log: Log) -> Bonds:
-    """The critical velocity on a metal, with its bracket as the only error. If the search fails, `failed` has the reason."""
-    folder = f"bonds/on_{base}/{choice.bonds}"
-    try:
-        return Bonds(base, folder, search(job, base, choice.bonds, choice.tolerance, choice.placements, out, jobs, log))
-    except ColdsprayError as error:
-        return Bonds(base, folder, critical.Bracket(None, None), failed=str(error))
-
-
-def with_errors(job: Job, choice: Choice, known: Bonds, out: Path, jobs: int, log: Log) -> Bonds:
-    """The critical velocity `known`, completed by the other errors of the choice: those of the resolution and of the powder's
-    strength."""
-    error, sets = None, {}
-    wanted = [(choice.coarser, "")] * (choice.coarser > 0)
-    wanted += [(choice.sets, name) for name in job.other_sets if choice.sets]
-    for points, strength in wanted:
-        try:
-            other = search(job, known.base, points, OTHER, 1, out, jobs, log, strength)
-        except ColdsprayError as problem:
-            log(f"the error does not include: {problem}")
+def bonds(job: Job, found: Mapping[Search, critical.Bracket]) -> dict[str, Bonds]:
+    """Critical velocity on each metal with its errors, by the name of the metal. found: brackets of all searches."""
+    known = {}
+    for base in job.bases:
+        own = {part: each for part, each in found.items() if part.base == base and not part.strength}
+        if not own:
             continue
-        if strength:
-            sets[strength] = other
-        else:
-            error = critical.resolution_error(job.on(known.base, choice.bonds), known.found, {points: other})
-    return replace(known, error=error, sets=sets)
+        best = max(own, key=lambda part: (part.points, part.placements))
+        coarser = {part.points: each for part, each in own.items() if part.points < best.points}
+        error = critical.resolution_error(job.on(base, best.points), own[best], coarser)
+        sets = {part.strength: each for part, each in found.items() if part.base == base and part.strength}
+        known[base] = Bonds(base, best.folder, own[best], error, sets)
+    return known
 
 
-def coatings(job: Job, choice: Choice, out: Path, jobs: int, log: Log) -> Coating:
+def coatings(job: Job, part: Coatings, out: Path, jobs: int, log: Log) -> Coating:
     """Compute the coatings of all seeds, and measure them."""
     folder = out / "coatings"
-    name = f"{choice.number}x{choice.points}_seed_{{}}"
-    points = {name.format(k): job.coating(choice, k).to_toml() for k in range(1, choice.seeds + 1)}
+    name = f"{part.number}x{part.points}_seed_{{}}"
+    points = {name.format(k): job.coating(part, k).to_toml() for k in range(1, part.seeds + 1)}
     found, failed = results(folder, points, jobs, log)
-    measures = {}
+    measures, properties = {}, {}
     for point, result in found.items():
         try:
             measures[f"coatings/{point}"] = measure(read_coating(result))
+            with suppress(StoreError):  # its block may have too few splats
+                properties[f"coatings/{point}"] = result.properties()
         except ColdsprayError as error:
             failed[point] = str(error)
-    return Coating(measures, failed)
+    return Coating(measures, failed, properties)
 
 
-def efficiency(spray: Spray, bonds: Bonds) -> tuple[float, float, float]:
+def efficiency(spray: Spray, bonds: Bonds) -> Range:
     """Mass fraction that sticks on a metal by computed bonds, with its smallest and largest value. The critical velocity is computed
     for the median particle; for other sizes and temperatures it is scaled as in the formula."""
     formula = float(spray.critical[len(spray.critical) // 2])
-
-    def share(velocity: float) -> float:
-        return 1.0 if velocity == 0.0 else 0.0 if math.isinf(velocity) else spray.fates(velocity / formula)[STICKS]
-
     low, high = bonds.band
+    return sticking(spray, bonds.velocity / formula, low / formula, high / formula)
+
+
+def sticking(spray: Spray, factor: float, low: float, high: float, on_substrate: bool = False) -> Range:
+    """Mass fraction that sticks if the critical velocities are `factor` times those of the formula, with its smallest and largest
+    value for factors from `low` to `high`. on_substrate: as in `Spray.fates`."""
     between = np.linspace(low, high, 9).tolist() if math.isfinite(high) else [low, high]
-    each = [share(velocity) for velocity in (bonds.velocity, *between)]
+    each = []
+    for f in (factor, *between):
+        each.append(float(f == 0.0) if f in (0.0, math.inf) else spray.fates(f, on_substrate)[STICKS])
     return each[0], min(each), max(each)
 
 

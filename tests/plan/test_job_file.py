@@ -1,6 +1,5 @@
-"""The file of a job, the sizes it names, and how much is computed in a time."""
+"""The file of a job, the sizes it names, and its parts."""
 
-from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -8,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from coupler.errors import SceneError
-from coupler.plan.job import CHOICES, Job, choose, processor_time, read, seconds, sets_of
+from coupler.plan.forecast import forecast
+from coupler.plan.job import Coatings, Job, Search, read, seconds, sets_of
 from coupler.plan.planning import plan
 
 TEXT = (files("coupler.commands") / "templates" / "job.toml").read_text(encoding="utf-8")
-CORES, FACTOR = 2, 1.0
 
 
 def job_of(folder: Path, text: str = TEXT) -> Job:
@@ -86,33 +85,36 @@ def test_numbers_of_particles_are_refused(tmp_path: Path) -> None:
         job_of(tmp_path, TEXT.replace('"15-45 um"', '"sizer.csv"'))
 
 
-def within(job: Job, time: float) -> Job:
-    return replace(job, data=job.data.model_copy(update={"within": time}))
-
-
-def test_each_choice_takes_longer_and_more_time_buys_more(tmp_path: Path) -> None:
-    job, takes = job_of(tmp_path), processor_time(FACTOR)
-    times = [seconds(job, choice, takes, CORES) for choice in CHOICES]
-    assert all(a < b for a, b in pairwise(times))
-    places = []
-    for most in (times[0], 60.0, 600.0, 1800.0, 7200.0, 1e6):
-        choice, time, then = choose(within(job, most), takes, CORES)
-        assert time <= most
-        assert then is None or then[1] > most
-        places.append(CHOICES.index(choice))
-    assert places == sorted(places)
-    assert places[-1] == len(CHOICES) - 1
-    with pytest.raises(SceneError, match="too short, the smallest choice takes"):
-        choose(within(job, 0.9 * times[0]), takes, CORES)
-
-
-def test_the_scenes_of_a_choice_have_a_plan(tmp_path: Path) -> None:
-    """The smallest particle of a coating has points enough at each choice, its velocity is that of the gas."""
+def test_later_parts_of_a_kind_take_longer(tmp_path: Path) -> None:
+    """The order of the parts is that of their worth: what is computed first must not use the time of a finer part of its kind."""
     job = job_of(tmp_path)
-    for choice in CHOICES:
-        planned = plan(job.coating(choice, 1))
-        assert len(planned.impacts) == choice.number
-        assert max(impact.points for impact in planned.impacts) <= 1.1 * choice.points
+    times: dict[tuple[str, str], list[float]] = {}
+    for part in job.parts:
+        kind = (part.base, part.strength) if isinstance(part, Search) else ("", "")
+        times.setdefault(kind, []).append(seconds(job, part, lambda scene: forecast(plan(scene)).whole, 2))
+    assert {("Cu", ""), ("Al6061", ""), ("", "")} < times.keys()
+    for each in times.values():
+        assert all(a < b for a, b in pairwise(each))
+
+
+def test_between_the_ends_of_its_reach_none_and_all_of_a_powder_sticks(tmp_path: Path) -> None:
+    """Critical velocities of all sizes in the ratio of the formula: what the search leaves out cannot change the efficiency."""
+    job = job_of(tmp_path)
+    slowest, fastest = job.reach
+    median = job.arrived.critical[len(job.arrived.critical) // 2]
+    assert slowest < fastest
+    assert job.arrived.fates(fastest / median)["sticks"] == 0.0
+    assert job.arrived.fates(slowest / median)["sticks"] == 1.0
+
+
+def test_the_scenes_of_a_job_have_a_plan(tmp_path: Path) -> None:
+    """The smallest particle of each coating has points enough, its velocity is that of the gas."""
+    job = job_of(tmp_path)
+    for part in job.parts:
+        if isinstance(part, Coatings):
+            planned = plan(job.coating(part, 1))
+            assert len(planned.impacts) == part.number
+            assert max(impact.points for impact in planned.impacts) <= 1.1 * part.points
     scene = job.on("Al6061", 5000)
     assert plan(scene).impact.points == pytest.approx(5000, rel=0.02)
     assert scene.derived.material("Cu").strength.set == "Preston_2003"

@@ -6,6 +6,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +14,14 @@ import pytest
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.physics.adhesion import PairFormula
-from coupler.plan.job import CHOICES, read
+from coupler.plan.job import Coatings, Job, Search, read
 from coupler.spray.window import Spray
-from coupler.studies import job_parts
+from coupler.studies import critical, job_parts
+from coupler.studies import job as study
 from coupler.studies.critical import Bracket
 from coupler.studies.job_numbers import answer, numbers
 from coupler.studies.job_parts import Bonds, Coating, efficiency, folder_of, thickness
+from coupler.studies.pace import Pace
 from coupler.studies.trust import RED
 
 TEXT = (Path(job_parts.__file__).parents[1] / "commands" / "templates" / "job.toml").read_text()
@@ -71,11 +74,11 @@ def test_the_thickness_of_a_pass_keeps_the_mass(job) -> None:
 
 def test_formula_and_bonds_that_disagree_stand_first(job) -> None:
     """Copper flies at 1.6 times its critical velocity by the formula; bonds that tear up to 900 m/s say that nothing stays."""
-    found = [replace(on(900.0, None), base="Al6061"), on(400.0, 420.0)]
+    found = {"Al6061": replace(on(900.0, None), base="Al6061"), "Cu": on(400.0, 420.0)}
     lines = numbers(job, found, Coating({}, {}))
-    said = answer(job, lines)
+    said = answer(lines)
     assert said[0].startswith("Formula and computed bonds disagree. Share of the powder that sticks on Al6061: 100%")
-    assert said[0].endswith("0% by bonds.")
+    assert "0% by bonds. By bonds no size sticks: a first layer then needs" in said[0]
     assert len([text for text in said if "disagree" in text]) == 1
     assert {line.label: line.computed for line in lines}[
         "Critical velocity on Al6061, the first layer"
@@ -84,9 +87,31 @@ def test_formula_and_bonds_that_disagree_stand_first(job) -> None:
 
 
 def test_what_is_not_computed_is_not_trusted(job) -> None:
-    lines = numbers(job, [], Coating({}, {}))
+    lines = numbers(job, {}, Coating({}, {}))
     assert {line.colour for line in lines} == {RED}
-    assert "not computed by bonds" in answer(job, lines)[0]
+    assert "not computed by bonds" in answer(lines)[0]
+
+
+def test_a_coating_has_the_stiffness_of_its_seeds_where_its_block_is_large_enough(job) -> None:
+    """100 and 104 GPa: the mean with the standard error of two; without a block there is no line."""
+    values = {
+        "porosity_open": 0.01,
+        "porosity_closed": 0.0,
+        "Sa_m": 1e-6,
+        "stress_in_plane_Pa": -5e7,
+        "void_limit_m": 1e-6,
+    }
+    measures = {f"coatings/{seed}": SimpleNamespace(**values) for seed in (1, 2)}
+    blocks = {
+        seed: SimpleNamespace(values={"E_in_plane": SimpleNamespace(mixed=E), "k_across": SimpleNamespace(mixed=350.0)})
+        for seed, E in ((1, 100e9), (2, 104e9))
+    }
+    lines = {line.label: line for line in numbers(job, {}, Coating(measures, {}, blocks))}
+    assert lines["Young's modulus in the plane"].computed == "102.0 ± 2.0 GPa"
+    assert lines["Heat conductivity across"].values["computed"] == (350.0, 350.0, 350.0)
+    assert lines.keys() - {line.label for line in numbers(job, {}, Coating(measures, {}))} == {
+        "Young's modulus in the plane", "Heat conductivity across",
+    }  # fmt: skip
 
 
 def test_a_folder_has_one_job_and_any_time(tmp_path: Path) -> None:
@@ -96,13 +121,96 @@ def test_a_folder_has_one_job_and_any_time(tmp_path: Path) -> None:
         folder_of(TEXT.replace("500 degC", "600 degC"), tmp_path / "out")
 
 
+class Time:
+    """A clock that shows what a test sets."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch) -> Time:
+    shown = Time()
+    for module in (critical, study):
+        monkeypatch.setattr(module, "time", shown)
+    return shown
+
+
+def searched(
+    job, tmp_path: Path, monkeypatch, clock: Time, sticks_from: float, within: float
+) -> tuple[object, list[float]]:
+    """The search of a particle that sticks from a velocity on, each velocity in 10 s; and the velocities."""
+    rows: list[dict[str, object]] = []
+
+    def rows_at(scene, velocity, *_) -> list[dict[str, object]]:
+        clock.now += 10.0
+        verdict = "sticks" if velocity >= sticks_from else "rebounds"
+        rows.append({"velocity_m_s": velocity, "placement": 0, "verdict_by_bonds": verdict})
+        return rows[-1:]
+
+    monkeypatch.setattr(critical, "rows_at", rows_at)
+    monkeypatch.setattr(critical, "rows_of", lambda _: list(rows))
+    part = Search("Al6061", 1000)
+    found = job_parts.search(job, part, tmp_path, 1, lambda _: None, lambda _: clock.now + 10.0 <= within)
+    return found, [row["velocity_m_s"] for row in rows]
+
+
+def test_no_velocity_is_computed_that_the_powder_does_not_reach(job, tmp_path, monkeypatch, clock) -> None:
+    """It rebounds at all: the fastest and the slowest size decide, and the efficiency is zero."""
+    found, velocities = searched(job, tmp_path, monkeypatch, clock, 900.0, 1e6)
+    assert velocities == [job.reach[1], job.reach[0]]
+    assert efficiency(job.arrived, Bonds("Al6061", "", found)) == (0.0, 0.0, 0.0)
+
+
+def test_a_powder_that_sticks_is_searched_down_to_erosion(job, tmp_path, monkeypatch, clock) -> None:
+    found, velocities = searched(job, tmp_path, monkeypatch, clock, 480.0, 1e6)
+    assert velocities[:2] == [job.reach[1], job.reach[0]]
+    assert found.low < 480.0 <= found.high
+    assert found.high - found.low <= 0.1 * found.velocity
+
+
+@pytest.mark.parametrize(("within", "answers"), [(15.0, False), (25.0, True)])
+def test_a_search_ends_with_its_time(job, tmp_path, monkeypatch, clock, within: float, answers: bool) -> None:
+    """After one velocity that sticks nothing is known of slower sizes; after the slowest all of them stick."""
+    found, velocities = searched(job, tmp_path, monkeypatch, clock, 300.0, within)
+    assert clock.now <= within
+    assert len(velocities) == (2 if answers else 1)
+    assert (found is not None) == answers
+
+
+def test_a_job_keeps_its_time_where_impacts_take_three_times_the_forecast(job, tmp_path, monkeypatch, clock) -> None:
+    """The first parts tell the pace of the others; what does not fit is said with its time."""
+    takes = {1000: 3.0, 2000: 6.0, 5000: 15.0, 16000: 70.0, 40000: 250.0}
+
+    def seconds(job, part: Search | Coatings, *_) -> float:
+        return takes[part.points] if isinstance(part, Search) else 10.0 * part.seeds
+
+    def search(job, part: Search, out, jobs, log, more) -> Bracket:
+        for _ in range(2):
+            clock.now += 3.0 * takes[part.points]
+            more(3.0 * takes[part.points])
+        return Bracket(900.0, None)
+
+    monkeypatch.setattr(study, "seconds", seconds)
+    monkeypatch.setattr(study, "search", search)
+    monkeypatch.setattr(study, "coatings", lambda *_: Coating({}, {}))
+    monkeypatch.setattr(study, "page", lambda *_: "")
+    known = study.compute(job, TEXT, tmp_path / "out", lambda _: 1.0, 1, lambda _: None)
+    assert clock.now <= job.data.within
+    assert known["computed_s"]["bonds on Al6061 with 16000 points"] == pytest.approx(420.0)
+    assert known["left_out_s"]["bonds on Cu with 40000 points, 3 impacts at each velocity"] == pytest.approx(1500.0)
+    assert known["more_time"].startswith("more time would buy: bonds on Cu with 5000 points, ")
+    assert known["more_time"].endswith("; 2 further parts")
+
+
 @pytest.mark.slow
 def test_a_whole_job_and_only_what_is_missing_of_it(tmp_path: Path, monkeypatch, capsys) -> None:
-    """The least choice, of copper on aluminium; then the second seed alone after its folder is lost."""
+    """A coating alone, of copper on aluminium; then its second seed after its folder is lost."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("coupler.commands.accuracy.here", lambda: type("", (), {"factor": 1.0})())
-    least = replace(CHOICES[0], disc=0.5, seeds=2)  # of two particles each
-    monkeypatch.setattr("coupler.plan.job.CHOICES", (least,))
+    monkeypatch.setattr("coupler.commands.accuracy.here", lambda: Pace(1.0, ""))
+    monkeypatch.setattr(Job, "parts", (Coatings(400, 0.5, 1, 2),))  # of two particles each
     assert main(["new", "job", "cu"]) == 0
     assert main(["job", "cu.toml", "--jobs", "1"]) == 0
     out = Path("runs/job-cu")
