@@ -10,11 +10,7 @@ from coupler.errors import SceneError
 from coupler.plan.reading import Scene
 
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
-SCENES = sorted(
-    path
-    for path in WORKFLOWS.glob("*.toml")
-    if path.stem not in ("map_ni", "paper_values", "laboratory_nozzles", "measurements")
-)
+SCENES = sorted(path for path in WORKFLOWS.glob("*.toml") if path.read_text().startswith("#:schema"))
 SINGLE, TRIPLE = (str(WORKFLOWS / f"{name}_ni.toml") for name in ("single", "triple"))
 
 
