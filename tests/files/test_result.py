@@ -104,7 +104,7 @@ def test_fields(folder):
     np.testing.assert_array_equal(target.cells, TETS)
     np.testing.assert_array_equal(target.data["eps_p"], np.ones(4))
     assert target.data["velocity"].shape == (20, 3)
-    with pytest.raises(IndexError, match="3 steps"):
+    with pytest.raises(IndexError, match="3 stored steps"):
         result.fields(3)
     with pytest.raises(StoreError, match=r"surface\.vtkhdf is missing"):
         result.fields(-1, "surface")
@@ -164,7 +164,7 @@ def test_file_without_a_step(folder):
 
 
 def test_not_a_result(tmp_path):
-    with pytest.raises(StoreError, match="not a folder"):
+    with pytest.raises(StoreError, match="not a results folder"):
         Result(tmp_path / "nothing")
     with pytest.raises(StoreError, match="holds no results"):
         Result(tmp_path)

@@ -110,7 +110,7 @@ def test_films_that_cannot_be_made(folder, tmp_path, capsys):
     for arguments, says in (
         ([str(folder), "--out", str(tmp_path / "film.avi")], "use .mp4 or .gif"),
         ([str(folder), "--out", str(tmp_path / "no" / "film.mp4")], "there is no folder"),
-        ([str(folder), "--out", str(tmp_path / "film.gif"), "--field", "stress"], "has T, eps_p, von_mises"),
+        ([str(folder), "--out", str(tmp_path / "film.gif"), "--field", "stress"], "has the fields T, eps_p, von_mises"),
         ([str(folder), "--out", str(tmp_path / "film.gif"), "--fps", "0"], "give 0.1 to 100"),
         ([str(empty)], "try again later"),
     ):
@@ -215,7 +215,7 @@ def test_comparing_on_the_command_line(folder, other, tmp_path, capsys, monkeypa
     for arguments, says in (
         ([str(folder)], "give 2 to 12 folders"),
         ([str(folder)] * 13, "give 2 to 12 folders"),
-        ([str(folder), "absent"], "absent is not a folder"),
+        ([str(folder), "absent"], "absent is not a results folder"),
         ([str(folder), str(other), "--out", "x.pdf"], "use .png or .html"),
         ([str(folder), str(other), "--out", "no/x.png"], "cannot write no/x.png"),
         ([str(folder), str(empty)], f"{empty}: no stored step"),
@@ -235,5 +235,5 @@ def test_an_unfinished_run_is_named_in_a_comparison(folder, tmp_path):
 
 
 def test_a_run_without_a_field_cannot_be_animated_by_it(folder, tmp_path):
-    with pytest.raises(StoreError, match="no field 'J' to animate"):
+    with pytest.raises(StoreError, match="no field 'J' to draw"):
         animate(Result(folder), tmp_path / "x.mp4", "J")

@@ -277,7 +277,7 @@ def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
     ("text", "says"),
     [
         (scene(("Ni", 25, 500), **TINY), "bonds are not computed"),
-        (scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY, tied=False, more=HELD.format(50)), "one impact"),
+        (scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY, tied=False, more=HELD.format(50)), "a single impact"),
     ],
 )
 def test_a_scene_without_computed_bonds_is_refused(
