@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Iterator[str]:
-    """Lines for the screen about the pulls and the strip of properties.json."""
+    """Text lines about the pull tests and the strip, from the contents of properties.json."""
     from ..properties.pull import WORDS
 
     for direction, words in WORDS.items() if pulls else ():

@@ -139,8 +139,8 @@ def particles(
     """The particles of a coating as tables of a scene, in the order of their impacts, layer by layer.
 
     All random numbers are from `random.Random.random`, which is equal in all versions of Python. The texts have all digits of the
-    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table; passes, dwells: as of
-    `passes.arrivals`; angle: of the gun, rad. Raises ValueError if a powder has no particle.
+    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table; passes, dwells: as in
+    `passes.arrivals`; angle (rad): angle of the gun. Raises ValueError if a powder has no particle.
     """
     dice = random.Random(table.seed)
     counts = _counts(table, fed)

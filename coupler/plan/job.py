@@ -51,7 +51,7 @@ class Search:
 
     @property
     def folder(self) -> str:
-        """Folder of its runs in that of the job."""
+        """Folder of the runs of this search, relative to the folder of the job."""
         return f"bonds/on_{self.base}/{self.points}" + f"_{self.strength}" * bool(self.strength)
 
 
@@ -162,7 +162,7 @@ class Job:
 
     @cached_property
     def parts(self) -> tuple[Search | Coatings, ...]:
-        """The computations of the job in the order of their worth."""
+        """The computations of the job, the most important first."""
         sets = [Search(base, 5000, strength=name) for base in self.bases for name in self.other_sets]
         return (
             *(Search(base, 5000) for base in self.bases), Coatings(1000, 0.9, 2, 2),

@@ -1,6 +1,7 @@
 """When the particles of a coating arrive under a gun that moves.
 
-The patch of a coating is small against the spot: each pass covers all of it, at a rate that follows the spot as it goes by.
+The patch of a coating is small compared with the spot. Each pass covers all of it, at a rate that follows from the distance of the
+spot.
 """
 
 import math
@@ -20,7 +21,8 @@ _LEAST = 1e-3  # least rate of the best pass over the rate under the middle of t
 
 
 def spot_of(path: GunPath, folder: Path) -> Spot:
-    """The spot of a spray. folder: base of the name of a file. Raises ValueError that begins with the field."""
+    """The spot of a spray. folder: folder to which a file name is relative. Raises ValueError; the message begins with the name of
+    the field."""
     if path.distribution == "uniform":
         return Spot.of_points(np.array([0.0, 0.5 * path.spot]), np.ones(2))
     if path.distribution == "gaussian":  # cut at four standard deviations, where 3e-4 of the mass are outside
@@ -36,11 +38,12 @@ def spot_of(path: GunPath, folder: Path) -> Spot:
 
 
 def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], list[float | None]]:
-    """Numbers of particles in the passes of a layer, without empty passes; and for each particle of the coating the time (s) until the
-    next one, None where the path does not set it.
+    """Numbers of particles in the passes of a layer, without empty passes. Returns also for each particle of the coating the time (s)
+    until the next particle, None if the path does not set it.
 
-    A layer is one run of the gun over all lines. The numbers follow from the mass that each pass brings to the patch; the particles of
-    a pass have equal steps of this mass. folder: base of the name of a file. Raises ValueError that begins with the field.
+    A layer is one run of the gun over all lines. The numbers follow from the mass that each pass brings to the patch; the particles
+    of a pass have equal steps of this mass. folder: folder to which a file name is relative. Raises ValueError; the message begins
+    with the name of the field.
     """
     number = table.number // table.layers
     if path.passes is None:

@@ -23,7 +23,8 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
 
 
 def table_of(name: str, folder: Path) -> Table:
-    """The table of a file with two or more columns. folder: base of its name. Raises ValueError with the problem of the file."""
+    """The table of a file with two or more columns. folder: folder to which the file name is relative. Raises ValueError with the
+    problem of the file."""
     path = folder / Path(name).expanduser()
     try:
         return read_table(read_any_text(path, _LARGEST), axes="xy")

@@ -97,7 +97,7 @@ def properties(
 
 
 def cold_coating(result: Result) -> tuple[Plan, Splats, list[Material]]:
-    """The plan of a run, its cold coating and the metal of each body. Raises StoreError where there is none."""
+    """The plan of a run, its cold coating and the metal of each body. Raises StoreError if the run has no cold coating."""
     splats = read(result)
     if not splats.is_cold:
         raise StoreError(
@@ -159,8 +159,8 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
 def cut(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
-    """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
-    if it is too small for its splats."""
+    """The block between two corners (3,) m. law (n,k): values of the bond of each node; first: number of the first body, 0 to include
+    the substrate. Raises StoreError if the block is too small for its splats."""
     mesh, own = splats.mesh, splats.body >= first
     of_splat = np.abs(volumes(mesh.points, mesh.cells[splats.body > 0])).sum() / max(len(splats.impact) - 1, 1)
     held = float(np.prod(high - low) / of_splat)

@@ -1,9 +1,10 @@
-"""A block pulled apart: strength across the coating, at the substrate and in the plane, with the bonds that the impacts left.
+"""Tensile test of a block of a coating: its strength across the coating, at the substrate and in the plane, with the bonds that the
+impacts have left.
 
 Two opposite faces move apart without friction; all other faces are free. The bodies are those of the run, elastic-plastic with the
-strain and temperature of each element, at the rates of a tensile test; bonds soften and break by their law (`contact.bond`); what
-touches bears pressure alone. The motion is a dynamic relaxation with its own masses (`fe.relaxed`), whose damping acts on what differs
-from a uniform stretch and contraction: it is nearly static, and the time in it is fictitious.
+strain and temperature of each element, at the rates of a tensile test; bonds soften and break by their law (`contact.bond`); surfaces
+that only touch carry only pressure. The motion is a dynamic relaxation with its own masses (`fe.relaxed`), whose damping acts on the
+difference from a uniform stretch and contraction. The motion is nearly static, and its time has no physical meaning.
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion":
 
 @dataclass(frozen=True)
 class Pull:
-    """A block pulled until it parts or has the strain MOST.
+    """Result of a tensile test of a block, until it parts or has the strain MOST.
 
-    film: factor on strength times thickness of the oxide film, None where bonds of the run never break; strength: greatest force over
-    the area of the block, pores included; strain: then; has_parted; at_substrate: share of the substrate in the bonded area that has
-    lost half of its strength or more; brittle: share of the bonds in the work of bonds and plastic flow; energy_error: of the whole
-    work, at worst; rows: over strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
+    film: factor on strength times thickness of the oxide film, None if bonds of the run never break; strength: greatest force over
+    the area of the block, pores included; strain: strain at the greatest force; has_parted: whether the block has parted;
+    at_substrate: share of the substrate in the bonded area that has lost half of its strength or more; brittle: share of the bonds in
+    the work of bonds and plastic flow; energy_error: largest error of the energy balance, relative to the whole work; rows: stress
+    and energies against strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
     """
 
     direction: str
@@ -69,10 +71,10 @@ class Pull:
 def strengths(
     result: Result, side: float | None = None, heights: tuple[float, float] | None = None, films: tuple[float, ...] = FILM
 ) -> list[Pull]:  # fmt: skip
-    """The block of a run (`measure.properties`) pulled in each direction of AXES with each film. adhesion: across a block that includes
-    the substrate, to two elements below it. The energy of a bond is proportional to strength times thickness of the film; what the film
-    changes in the impacts is not included. Tied bonds never break: the strength is the limit of plastic flow between the pores. Raises
-    as `properties`."""
+    """Pull the block of a run (`measure.properties`) in each direction of AXES, with each film. adhesion: pull across a block that
+    includes the substrate, down to two elements below the lowest splat. The energy of a bond is proportional to strength times
+    thickness of the film. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit
+    of plastic flow between the pores. Raises the errors of `properties`."""
     plan, splats, metals = cold_coating(result)
     data, law = splats.mesh.data, None
     if "bond_strength" in data:
@@ -92,8 +94,8 @@ def strengths(
 
 
 def pull(sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0) -> Pull:
-    """A block pulled along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element. Raises
-    SolverError when a tetrahedron inverts."""
+    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element. Raises
+    SolverError if a tetrahedron inverts."""
     machine, greatest = Machine(sample.block, laws, eps_p, T, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
@@ -139,7 +141,7 @@ class Machine:
         self.elastic, self.force, self.work, self.damped, self.steps = t.elastic(), 0.0, 0.0, 0.0, 0
 
     def row(self) -> dict[str, float]:
-        """Make EVERY steps. Returns their mean stress (over the area of the block), and the energies after them, J."""
+        """Make EVERY steps. Returns their mean stress (force over the area of the block), and the energies after them, J."""
         mean = sum(self.step() for _ in range(EVERY)) / EVERY
         t, elastic = self.t, self.t.elastic() - self.elastic
         kinetic = 0.5 * float(self.relaxation.mass @ (t.nodes.v**2).sum(axis=1))
@@ -203,8 +205,8 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
 
 
 def write_pulls(folder: Path, pulls: list[Pull], about: str) -> None:
-    """Write NAMES: stress and energies of each pull over strain, their curves, and the joints in the end, of the central film. Raises
-    StoreError."""
+    """Write the files NAMES: stress and energies of each pull against strain, their curves, and the joints at the end, for the
+    central film. Raises StoreError."""
     rows = [{"direction": p.direction, "film": p.film, **row} for p in pulls for row in p.rows]
     write_rows(folder / NAMES[0], list(rows[0]), rows, about)
     figure = blank(5.0, 3.5, 160, "constrained")

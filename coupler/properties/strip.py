@@ -1,8 +1,8 @@
-"""A strip with a coating: its curvature, from the stress of deposition and from the misfit of expansion, layer by layer.
+"""A strip with a coating: its curvature from the deposition stress and from the difference of thermal expansion, layer by layer.
 
 Tsui & Clyne (1997), Thin Solid Films 306, 23: a layer arrives with a stress; then strip and layers before it stretch and bend until
-no force and no moment is left. In the end all changes its temperature. Sections stay plane, all is elastic and equal in both
-directions of the plane: the modulus is E / (1 - nu).
+no force and no moment is left. At the end the temperature of the whole strip changes. Sections stay plane, and the material is
+elastic and equal in both directions of the plane: the modulus is E / (1 - nu).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ NAMES = ("strip.csv", "strip.inp")
 
 @dataclass(frozen=True)
 class Strip:
-    """A section of a coated strip, in slices from below; the first `below` are the strip, each other one is a layer.
+    """A section of a coated strip, in slices from the bottom to the top. The first `below` slices are the strip, each other slice is
+    a layer of the coating.
 
     height (k,) m; modulus (k,) Pa: E, of metal and pores; nu (k,); arriving (k,) Pa: stress in the plane with which a layer arrives;
     expansion (k,): strain of the slice, if it is free, in the last change of temperature.
@@ -45,7 +46,7 @@ class Strip:
 
     @property
     def middle(self) -> NDArray:
-        """Heights (k,) m of the middles above the lower face."""
+        """Heights (k,) m of the middles of the slices above the lower face."""
         return np.asarray(np.cumsum(self.height) - 0.5 * self.height)
 
     def relaxed(self, force: NDArray) -> tuple[NDArray, float]:
@@ -59,7 +60,7 @@ class Strip:
         return M * (stretch + bend * z), float(bend)
 
     def deposited(self) -> tuple[NDArray, float]:
-        """Stress (k,) Pa in the middles, and curvature, 1/m, after the last layer."""
+        """Stress (k,) Pa in the middles of the slices, and curvature, 1/m, after the last layer."""
         stress, curvature = np.zeros(len(self.height)), 0.0
         for last in range(self.below, len(stress)):
             force = np.zeros(last + 1)
@@ -70,13 +71,14 @@ class Strip:
         return stress, curvature
 
     def misfit(self) -> tuple[NDArray, float]:
-        """Stress (k,) Pa in the middles, and curvature, 1/m, of the last change of temperature."""
+        """Stress (k,) Pa in the middles of the slices, and curvature, 1/m, that the last change of temperature causes."""
         own = -self.modulus / (1.0 - self.nu) * self.expansion
         change, bend = self.relaxed(own * self.height)
         return own + change, bend
 
     def residual(self) -> tuple[NDArray, NDArray, float]:
-        """Stress (k,) Pa in the middles after both; the stress that the strip has while it is held flat; and the curvature, 1/m."""
+        """Stress (k,) Pa in the middles of the slices after deposition and cooling; the stress of the strip while it is held flat;
+        and the curvature, 1/m."""
         (deposited, first), (cooled, second) = self.deposited(), self.misfit()
         M, z = self.modulus / (1.0 - self.nu), self.middle
         neutral = (M * self.height @ z) / (M @ self.height)

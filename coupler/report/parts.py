@@ -135,7 +135,8 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 
 def properties(result: Result) -> str:
-    """What the coating is worth, from the file of `coldspray properties` in the folder of the run; "" without it. Raises StoreError."""
+    """The effective properties of the coating, from the file of `coldspray properties` in the folder of the run; "" if there is no
+    such file. Raises StoreError."""
     path = result.directory / "properties" / "properties.json"
     if not path.is_file():
         return ""

@@ -390,12 +390,12 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def embedded(figure: Figure, dpi: float | None = None) -> str:
-    """A figure as the data URL of a PNG. dpi: by default that of the figure."""
+    """A figure as the data URL of a PNG image. dpi: resolution, by default that of the figure."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dpi or figure.dpi)
     return image_of(stream.getvalue())
 
 
 def image_of(png: bytes) -> str:
-    """The data URL of a PNG."""
+    """The data URL of a PNG image."""
     return "data:image/png;base64," + base64.b64encode(png).decode()

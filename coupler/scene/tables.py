@@ -239,7 +239,7 @@ class GunPath(Track):
 
     @property
     def lines(self) -> tuple[float, ...]:
-        """Positions x of the lines in their order, m."""
+        """Positions x (m) of the lines, in the order of the gun."""
         count, step = self.passes or 1, self.step or 0.0
         first = -0.5 * step * (count - 1) if self.first is None else self.first
         return tuple(first + step * k for k in range(count))

@@ -1,4 +1,4 @@
-"""The spot of the spray: mass flow of the powder over the distance from the axis of the gun."""
+"""The spot of the spray: mass flow of the powder as a function of the distance from the axis of the gun."""
 
 import math
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spot:
-    """Rings of constant mass flow. radius (n + 1,): radii of their edges, m, the first is 0; flow (n,): mass flow density of each ring
-    over the total mass flow, 1/m2."""
+    """Rings of constant mass flow. radius (n + 1,): radii of their edges, m, the first is 0; flow (n,) 1/m2: mass flow density of
+    each ring divided by the total mass flow."""
 
     radius: Array
     flow: Array
 
     @classmethod
     def of_points(cls, radius: Array, flow: Array) -> "Spot":
-        """From mass flow densities, in any unit, at ascending radii (m), linear between them. Raises ValueError for points that are
-        not a spot."""
+        """The spot with given mass flow densities, in any unit, at ascending radii (m), linear between them. Raises ValueError for
+        points that are not a spot."""
         ascend = len(radius) > 1 and radius[0] >= 0.0 and bool((np.diff(radius) > 0.0).all())
         if not (ascend and flow.min() >= 0.0 and 0.0 < flow.max() < math.inf):
             raise ValueError(
@@ -39,14 +39,15 @@ class Spot:
         return float(self.radius[-1])
 
     def across(self, x: ArrayLike) -> Array:
-        """Mass of a pass per unit of width at distances x (k,) m from its line, over the mass of the pass, 1/m: sums of chords of
-        discs."""
+        """Mass of a pass per unit of width at distances x (k,) m from its line, divided by the mass of the pass, 1/m. It is a sum
+        over chords of discs."""
         chords = 2.0 * np.sqrt(np.maximum(self.radius**2 - np.asarray(x, np.float64)[..., None] ** 2, 0.0))
         return np.asarray(np.diff(chords) @ self.flow, np.float64)
 
     @cached_property
     def table(self) -> tuple[Array, Array, Array]:
-        """Distances from the line of a pass (k,) m, `across` there, and the share of the mass on their left, 0 to 1."""
+        """Distances (k,) m from the line of a pass, `across` at these distances, and the share (0 to 1) of the mass on the left of
+        each."""
         s = np.linspace(-self.reach, self.reach, _FINE)
         density = self.across(s)
         left = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])

@@ -1,4 +1,4 @@
-"""The cross-section of tracks of the spray: its growth pass by pass, with the deposition efficiency of the local angle.
+"""The cross-section of a track: its growth pass by pass, with the deposition efficiency at the local angle of impact.
 
 The beam is parallel and inclined by the angle a of the gun from the z axis, towards +x; each line of the gun runs along y. With
 s = x cos a + z sin a, the position across the beam, a pass brings the mass g(s) ds (`Spot.table`). On a surface of slope tan b the
@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Gun:
     """A gun with its powder. angle: angle of the beam to the z axis, rad; area: cross-section (m2) of all powder of one pass at the
-    density of the metal, which is feed rate over density and speed. efficiency (n,): deposition efficiency, 0 to 1, at the ascending
-    angles of impact `angles` (n,) rad from the surface normal."""
+    density of the metal, which is the feed rate divided by density and speed. efficiency (n,): deposition efficiency, 0 to 1, at the
+    ascending angles of impact `angles` (n,) rad from the surface normal."""
 
     spot: Spot
     angle: float
@@ -43,19 +43,20 @@ class Gun:
     efficiency: Array
 
     def efficiency_at(self, slope: Array) -> Array:
-        """Deposition efficiency on a surface whose slope has these angles, rad."""
+        """Deposition efficiency on a surface whose slope has these angles (rad)."""
         return np.asarray(np.interp(np.abs(slope - self.angle), self.angles, self.efficiency), np.float64)
 
     @cached_property
     def _speed(self) -> tuple[Array, Array]:
-        """Slopes of a surface, as angles (rad), and |d(rate)/d(h')| there, of the rate (cos a + h' sin a) E."""
+        """Slopes of a surface, as angles (rad), and at each the derivative |d(rate)/d(h')| of the growth rate (cos a + h' sin a)
+        E."""
         b = np.linspace(-_STEEPEST, _STEEPEST, 1799)
         rate = np.maximum(np.cos(b - self.angle), 0.0) / np.cos(b) * self.efficiency_at(b)
         return 0.5 * (b[1:] + b[:-1]), np.abs(np.diff(rate) / np.diff(np.tan(b)))
 
     def spray(self, lines: Sequence[float] | Array, cells: int = CELLS, least: int = LEAST) -> tuple[Array, Array]:
-        """Heights (n,) m at x (n,) m after passes on lines at x (m), in their order, on a flat surface z = 0. Returns (x, heights).
-        cells: number of cells on the radius of the spot; least: least number of increments of a pass."""
+        """Heights (n,) m at x (n,) m after passes on lines at the given x (m), in their order, on a flat surface z = 0. Returns (x,
+        heights). cells: number of cells over the radius of the spot; least: least number of increments of a pass."""
         high = len(lines) * self.area * float(self.spot.across(0.0))
         room = 1.05 * self.spot.reach / math.cos(self.angle) + high * math.tan(self.angle)
         low, top = min(lines) - room, max(lines) + room
@@ -90,8 +91,8 @@ class Gun:
 
 
 def measures(x: Array, h: Array, fed: float) -> dict[str, float]:
-    """Measures of a cross-section, SI: height, width at half of it, mean angles of the flanks between _LOW and _HIGH of it, area, and
-    efficiency. x, h (n,) m: of cells of equal width; fed: area of all powder, m2."""
+    """Measures of a cross-section, SI: height; width at half of the height; mean angles of the flanks between _LOW and _HIGH of the
+    height; area; efficiency. x, h (n,) m: positions and heights of cells of equal width; fed: area of all powder, m2."""
     top, height, area = int(h.argmax()), float(h.max()), float(h.sum() * (x[1] - x[0]))
     left, right = slice(top + 1), slice(None, top - 1 if top else None, -1)
     sides = [np.interp(np.array([_LOW, 0.5, _HIGH]) * height, np.maximum.accumulate(h[k]), x[k]) for k in (left, right)]
@@ -103,7 +104,7 @@ def measures(x: Array, h: Array, fed: float) -> dict[str, float]:
 
 
 def waves(x: Array, h: Array, step: float, middle: float = 0.0) -> dict[str, float]:
-    """Mean height and waviness (greatest less least height) over a step of a raster about `middle`. All in m."""
+    """Mean height and waviness (largest minus smallest height) over a step of a raster about `middle`. All lengths in m."""
     low, high, dx = middle - 0.5 * step, middle + 0.5 * step, x[1] - x[0]
     below = np.interp([low, high], x + 0.5 * dx, np.cumsum(h) * dx)
     wave = float(np.ptp(h[(x >= low) & (x <= high)]))

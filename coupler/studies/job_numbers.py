@@ -143,7 +143,7 @@ def _range(values: Iterable[float]) -> Range:
 
 
 def _shown(values: Range | None, digits: str, factor: float = 1.0, unit: str = "") -> str:
-    """A range as text; "" for none."""
+    """A range as text; "" if there is no range."""
     value, low, high = (f"{factor * x:{digits}}{unit}" for x in values or (0.0, 0.0, 0.0))
     return "" if values is None else value + f" ({low} to {high})" * (low != high)
 
@@ -166,7 +166,7 @@ def answer(lines: Sequence[Number]) -> list[str]:
 
 
 def errors_in(bonds: Mapping[str, Bonds], coating: Coating) -> dict[str, str]:
-    """The errors that the ranges of the numbers include: name -> text."""
+    """The errors that the ranges of the numbers include: a text for each name."""
     sets, seeds = dict.fromkeys(name for each in bonds.values() for name in each.sets), len(coating.measures)
     known = (
         ("formula", True, f"by the formula: ± {BAND:.0%} of the critical velocity"),

@@ -85,8 +85,8 @@ def search(
 ) -> critical.Bracket | None:
     """Search the critical velocity of the median particle on a metal within the velocities of the powder (`Job.reach`). If the
     particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
-    `critical.search`. None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no velocity can be
-    computed."""
+    `critical.search`. Returns None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no
+    velocity can be computed."""
     scene, (slowest, fastest), folder = job.on(part.base, part.points, part.strength), job.reach, out / part.folder
     for least in (slowest, fastest / EROSION):
         found, rows = critical.search(

@@ -29,7 +29,7 @@ class StudyTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Of the file."""
+        """The columns of the file."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         return (*(name for name in names if name != "version"), "version")
 

@@ -27,8 +27,8 @@ OF_WIDTH = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6)  # steps over the width of one pa
 
 
 def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[str, Profile], dict[str, Any]]:
-    """Profiles (x, heights) (n,) m: "one pass" and, with `passes`, "raster"; and the contents of track.json, SI units. folder: base of
-    the names of files; tell: receives the current work. Raises SceneError."""
+    """Profiles (x, heights) (n,) m: "one pass" and, with `passes`, "raster"; and the contents of track.json, SI units. folder: base
+    of the names of files; tell: function that receives the name of the current work. Raises SceneError."""
     path = job.data.spray
     assert isinstance(path, TrackSpray)
     try:
@@ -59,7 +59,7 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
 def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
     """Angles of impact (n,) rad and the deposition efficiency (n,) at each. By the formula it is the share of the mass that sticks on
     its own metal if the velocity normal to the surface has to reach the critical velocity: Li et al. (2003), Thermal Spray 2003, ASM,
-    91. Raises ValueError that begins with the field."""
+    91. Raises ValueError; the message begins with the name of the field."""
     if path.efficiency is None:
         angle = np.arange(90.0)
         share = np.array([job.arrived.fates(1.0 / math.cos(math.radians(a)))[STICKS] for a in angle])
@@ -96,7 +96,7 @@ def _of_runs(folder: Path) -> Profile:
 
 
 def words(known: Mapping[str, Any]) -> list[str]:
-    """The results as lines."""
+    """The results as text lines."""
     lines = [
         f"{name}: height {1e6 * of['height_m']:.3g} um, width at half height {1e3 * of['width_m']:.3g} mm, flanks"
         f" {math.degrees(of['flank_left_rad']):.3g} and {math.degrees(of['flank_right_rad']):.3g} deg, deposition efficiency"
@@ -113,7 +113,8 @@ def words(known: Mapping[str, Any]) -> list[str]:
 
 
 def write(profiles: Mapping[str, Profile], known: Mapping[str, Any], out: Path, title: str, about: str) -> None:
-    """Write table and picture into a folder. known: as of `compute`; title: of the picture; about: first line of the table."""
+    """Write the table and the picture of a track into a folder. known: as in `compute`; title: title of the picture; about: first
+    line of the table."""
     rows = [
         {"profile": name, "x_m": float(x), "height_m": float(h)}
         for name, profile in profiles.items()
