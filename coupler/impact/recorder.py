@@ -61,11 +61,8 @@ def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     if (bond := bodies.bond) is not None:
         whole = ~bond.broken
         nodes = bond.nodes[whole]
-        bonded[nodes], strength[nodes], energy[nodes] = (
-            1.0 - bond.damage[whole],
-            bond.strength[whole],
-            bond.energy[whole],
-        )
+        bonded[nodes] = 1.0 - bond.damage[whole]
+        strength[nodes], energy[nodes] = bond.strength[whole], bond.energy[whole]
     if (contact := bodies.contact) is not None:
         nodes = contact.pairs.points.node
         touching[nodes[contact.pairs.touching(len(nodes))[0]]] = 1.0

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.bond import Bond, penalty
+from ..errors import StoreError
 from ..fe.explicit import Target
 from ..fe.mesh import prepare_ordered
 from ..fe.relaxed import Relaxation
@@ -80,6 +81,10 @@ def strengths(
     if "bond_strength" in data:
         sound = data["bonded"][:, None]
         law = np.concatenate([data["bond_strength"] * sound, data["bond_energy"] * sound**2], axis=1)
+    elif plan.adhesion.kind == "cohesive":
+        raise StoreError(
+            f"{result.directory}: cold.vtkhdf has no strength of bonds: run the scene again with this version"
+        )
     laws = np.concatenate([law_record(metal, plan.effects.switches, RATE_TIME) for metal in metals])
     low, high, _ = corners(splats, side, heights)
     found = []
