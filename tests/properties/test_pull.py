@@ -1,16 +1,19 @@
 """Blocks pulled apart whose strength is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from layers import UM, stack
 
+from coupler.errors import StoreError
 from coupler.physics.constitutive import law_record, yield_stresses
 from coupler.physics.materials import material
 from coupler.properties.block import Block
 from coupler.properties.measure import Sample
-from coupler.properties.pull import RATE_TIME, STRAIN, Machine, Pull, pull
+from coupler.properties.pull import RATE_TIME, STRAIN, Machine, Pull, pull, strengths
 
 CU = material("OFHC_Cu")
 LAWS = np.concatenate([law_record(CU, None, RATE_TIME)] * 2)
@@ -94,3 +97,14 @@ def _pressed(block: Block) -> float:
     machine.drift *= -1.0
     machine.t.nodes.v[:] = machine.drift
     return np.mean([machine.step() for _ in range(100)][-40:])
+
+
+def test_a_run_that_does_not_say_what_its_bonds_bear_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Older files of cohesive bonds have no strengths: these bonds are not tied."""
+    plan, splats = (
+        SimpleNamespace(adhesion=SimpleNamespace(kind="cohesive")),
+        SimpleNamespace(mesh=SimpleNamespace(data={})),
+    )
+    monkeypatch.setattr("coupler.properties.pull.cold_coating", lambda result: (plan, splats, []))
+    with pytest.raises(StoreError, match=r"runs/old: cold.vtkhdf has no strength of bonds: run the scene again"):
+        strengths(cast(Any, SimpleNamespace(directory="runs/old")))
