@@ -145,7 +145,7 @@ class Coating(PowderTable):
             raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
         if self.number % self.layers:
             raise ValueError(
-                f"needs a value that divides number = {self.number}, because all layers have the same number of particles"
+                f"needs layers that divide number = {self.number}, because all layers have the same number of particles"
             )
         return self
 

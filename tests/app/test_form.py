@@ -39,7 +39,7 @@ def test_values_of_a_form_are_those_of_its_text(name):
         ("single", "particle.diameter", "25", "needs a length with its unit"),
         ("single", "substrate.material", "Unobtainium", "unknown material"),
         ("coating", "coating.layers", "3", "divide number"), ("job", "gas.pressure", "2 bar", "too low for nozzle"),
-        ("job", "powder.sizes", "45-15 um", "smaller sieve first"), ("job", "within", "30", "needs a time with its unit"),
+        ("job", "powder.sizes", "45-15 um", "smaller sieve size first"), ("job", "within", "30", "needs a time with its unit"),
     ],
 )  # fmt: skip
 def test_the_problem_of_the_reader_stands_at_its_field(tmp_path, name, key, value, says):

@@ -382,7 +382,7 @@ def test_quiet_progress_says_nothing():
     ("words", "says"),
     [
         (["rnu", "x.toml"], "there is no command 'rnu' (did you mean \"run\"?)"),
-        (["check", "many.toml"], "is the file of a sweep: run coldspray sweep many.toml"),
+        (["check", "many.toml"], "is the file of a sweep, not of a scene: run coldspray sweep many.toml"),
         (["sweep", "one.toml"], "is a scene, not the file of a sweep: run coldspray run one.toml"),
         (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
         (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),

@@ -226,7 +226,7 @@ def test_an_older_format_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.
     checkpoint.write(tmp_path, kept(), {"version": "0.1.0"})
     monkeypatch.undo()
     with pytest.raises(
-        CheckpointError, match=rf"by coldspray 0\.1\.0 in format 4, this version reads format {checkpoint.FORMAT}"
+        CheckpointError, match=rf"by coldspray 0\.1\.0 in format 4, but this version reads format {checkpoint.FORMAT}"
     ):
         checkpoint.latest(tmp_path, Kept, {"version": "0.3.0"})
 

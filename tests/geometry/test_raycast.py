@@ -71,7 +71,7 @@ def test_what_bounds_no_solid_is_refused() -> None:
     through[pole, 2] = -11.0 * UM
     with pytest.raises(SplatError, match="pass through each other"):
         check_solid(through, triangles)
-    with pytest.raises(SplatError, match="no solid: 3 edges"):
+    with pytest.raises(SplatError, match="not enclose a solid: 3 edges"):
         check_solid(vertices, triangles[1:])
     two = np.concatenate([vertices, vertices + np.array([0.0, 0.0, 20.0 * UM])])
     lowest = len(vertices) + int(np.argmin(vertices[:, 2]))

@@ -120,7 +120,7 @@ def test_the_default_verdict_is_that_of_the_pair_or_says_that_it_is_not() -> Non
     said = {base: sentence(base) for base in ("Cu", "SS304", "Al", "W", "V")}
     assert len(set(said.values())) == 5
     assert said["Cu"][0] == said["V"][0] == "sticks"
-    assert "the substrate is not considered (V has no sigma_TS)" in said["V"][1]
+    assert "the metal of the substrate is not considered (V has no tensile strength sigma_TS)" in said["V"][1]
     for base in ("SS304", "Al", "W"):
         verdict, words = said[base]
         assert verdict == "undecided"

@@ -149,14 +149,14 @@ def doubled(cloud: Cloud) -> Cloud:
 
 
 BAD = {
-    "49 points": (lambda: bad(surface=None).part(np.arange(49)), "49 points, 50 or more"),
+    "49 points": (lambda: bad(surface=None).part(np.arange(49)), "49 points, but 50 or more"),
     "no points": (lambda: bad(surface=None).part(np.arange(0)), "0 points"),
     "a place that is no number": (lambda: bad(x=with_value(cloud_of(points=400).x, np.nan)), "x of 1 points.*point 3"),
     "an infinite temperature": (lambda: bad(T=with_value(cloud_of(points=400).T, np.inf)), "T of 1 points"),
     "a plane": (lambda: bad(x=cloud_of(points=400).x * [1.0, 1.0, 0.0]), "plane"),
     "a line": (lambda: bad(x=cloud_of(points=400).x * [1.0, 0.0, 0.0]), "line"),
     "doubles": (lambda: doubled(cloud_of(points=400)), "points have the coordinates of another point"),
-    "two columns": (lambda: bad(x=cloud_of(points=400).x[:, :2]), r"must be \(n, 3\)"),
+    "two columns": (lambda: bad(x=cloud_of(points=400).x[:, :2]), r"must have the shape \(n, 3\)"),
     "a short field": (lambda: bad(T=np.ones(5)), "T must have the shape"),
     "no spacing": (lambda: bad(spacing=0.0), "spacing must be positive"),
     "negative volumes": (lambda: bad(volume=-np.ones(len(cloud_of(points=400).x))), "positive"),

@@ -76,7 +76,7 @@ def test_the_same_points_in_every_form(name: str, tmp_path: Path) -> None:
         ("x [um],y [mm],z [um]\n1,2,3\n", "different units: mm, um"),
         ("x,y,z\n1,2,3\n1,2\n", "line 2 has 3 columns, line 3 has 2"),
         ("x,y,z\n1,2,3\n1,two,3\n", "line 3, column 2: 'two' is not a number"),
-        ("\n".join(f"{k},0.5,{k}.5" for k in range(20)), "it needs three columns"),
+        ("\n".join(f"{k},0.5,{k}.5" for k in range(20)), "needs three columns"),
         ("x,y\n1,2\n", "none of its lines has three numbers"),
         ("x,y,z,X\n1,2,3,4\n", "two of its columns have the same name"),
     ],
@@ -113,7 +113,7 @@ def test_units_of_names_are_taken_and_held_against_the_option(tmp_path: Path) ->
         cloud, notes = of_file(tmp_path / "a.csv", unit=unit)
         np.testing.assert_allclose(cloud.x, BALL * 1e-6, rtol=1e-12)
         np.testing.assert_allclose(cloud.T, T + 273.15)
-        assert any("coordinates in um" in note for note in notes) == (unit is None)
+        assert any("the unit of the coordinates is um" in note for note in notes) == (unit is None)
     with pytest.raises(SplatError, match="--unit differs from the unit of x, y and z in the file, um"):
         of_file(tmp_path / "a.csv", unit=1e-3)
     (tmp_path / "b.csv").write_text(text(head="x,y,z,T [F]"))
