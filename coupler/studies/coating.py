@@ -136,7 +136,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     """All measures of a coating. radius (m): radius of the measured disc; default: `disc_radius`. Raises StoreError if there is no
     coating."""
     if not splats.stayed.any():
-        raise StoreError("no particle has stayed on the target, there is no coating: give a run with splats")
+        raise StoreError("no particle has stayed on the target, so there is no coating: give a run with splats")
     size, planned = splats.element_size, splats.planned
     radius = radius or disc_radius(splats)
     finished = len(splats.mass)

@@ -333,7 +333,7 @@ class Bodies:
         return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
-        """New bodies on a changed domain. Their energy balance continues from that of these bodies."""
+        """New `Bodies` on a changed domain. Their energy balance continues from that of these bodies."""
         target = Target(
             domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
