@@ -26,8 +26,14 @@ OF_THE_SURFACE = (
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy: if larger, it influences the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
-# Method that decides a verdict: bonds computed in the impact, formula of the velocity, ties of the scene, motion of the particle alone
-VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
+EMBEDDED, BROKEN = (
+    "embedded",
+    "broken",
+)  # verdicts on a ceramic particle: it stays without a bond; its tensile stress is too high
+VERDICTS = STICKS, EMBEDDED, REBOUNDS, BROKEN, UNDECIDED
+# Method that decides a verdict: bonds computed in the impact, formula of the velocity, ties of the scene, motion of the particle alone,
+# tensile stress in a ceramic
+VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION, BY_STRESS = "bonds", "formula", "scene", "motion", "stress"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
 VERDICT, BALANCE = "verdict", "energy and momentum balance"
@@ -156,6 +162,8 @@ TABLE = (
     Measure("T_max_K", "highest temperature", PARTICLE, low=0.0, converges=False),
     Measure("rebound_velocity_m_s", "rebound velocity", SHAPE, "rebound", low=0.0, converges=True),
     Measure("von_mises_max_Pa", "highest von Mises stress", PARTICLE, low=0.0, converges=False),
+    Measure("tension_max_Pa", "greatest tensile principal stress", PARTICLE, converges=False),
+    Measure("broken_share", "points above the tensile limit", PARTICLE, unit="%", factor=100.0, low=0.0, high=1.0),
     Measure("energy_drift", group=BALANCE, unit="%", factor=100.0),
     Measure("momentum_error", group=BALANCE),
     Measure("numerical_dissipation", group=BALANCE, unit="%", factor=100.0),

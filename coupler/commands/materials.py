@@ -72,6 +72,7 @@ def _explained(known: "Entry") -> list[str]:
         ("expansion", show(metal.thermal_expansion, "1/K") if metal.thermal_expansion_at(300.0) else "not known"),
         ("heat", f"{metal.taylor_quinney:g} of the plastic work"),
         ("tensile", f"{metal.sigma_TS / 1e6:g} MPa" if metal.sigma_TS else "not known: no critical velocity"),
+        ("brittle", f"ceramic: broken above {metal.tensile_limit / 1e6:g} MPa" if metal.tensile_limit else "no"),
     ):
         lines.append(f"  {name:10} {text}")
     lines += _wrapped("source", metal.source) + _wrapped("note", metal.note)

@@ -1,8 +1,8 @@
 """Splats that leave the coating because their bonds are broken.
 
-A splat is attached if a path of unbroken bonds leads from it to the substrate (`Bodies.attached`). A splat that is not attached
-after an impact, at rest or in the closing stage is removed. With adhesion of kind "tied" only a particle that rebounds without a
-bond leaves; with "none" all splats stay.
+A splat is attached if a path of unbroken bonds leads from it to the substrate (`Bodies.attached`); an embedded ceramic is attached to
+what it touches. A splat that is not attached after an impact, at rest or in the closing stage is removed. With adhesion of kind "tied"
+only a particle that rebounds without a bond leaves; with "none" all splats stay.
 """
 
 import numpy as np
@@ -11,6 +11,7 @@ from ..files.summary import Values
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.equilibrium import RELEASE_TIME, settle
+from ..target.placing import NEAR
 
 REASON = "no chain of unbroken bonds connects it to the substrate"
 
@@ -26,7 +27,8 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
     number: number of the last impact; stage: in which the bonds broke. Keys of a record: splat and by_impact (numbers of impacts),
     stage, bodies and mass_kg (removed), velocity_z_m_s, reason.
     """
-    if plan.adhesion.kind == "none" or (attached := bodies.attached()).all():
+    embedded = [b for b, i in enumerate(bodies.impact) if i > 0 and plan.impacts[i - 1].material.is_ceramic]
+    if plan.adhesion.kind == "none" or (attached := bodies.attached(embedded, NEAR * plan.splat_element_size)).all():
         return bodies, []
     t = bodies.target
     mass = t.laws["rho"][t.law_of] * t.mesh.V0

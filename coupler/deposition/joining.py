@@ -103,7 +103,10 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     ]  # fmt: skip
     bonded = bonds.bonded_points(domains.surface.contacts(particle.x)) if bonds is not None else None
     ratio = plan.impacts[i].velocity_ratio
-    new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded)
+    own = plan.impacts[i].material
+    materials = [plan.target.material, *(plan.impacts[k - 1].material for k in domains.bodies.impact[1:])]
+    partners = np.array([plan.adhesion.joins(own, each) for each in (*materials, *[own] * len(states))])
+    new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded, partners)
     return new, {
         "bodies": len(splat.bodies), "lost_mass_kg": splat.lost_mass, "conversion": splat.report,
         "bonds": len(new.bond) if new.bond is not None else 0, "elements": len(new.target.mesh.conn),

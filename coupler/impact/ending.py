@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-Grip = Literal["free", "failing", "held", "secure"]
+Grip = Literal["free", "failing", "held", "secure", "embedded"]
 STILL = 0.005  # of the impact speed: a particle on earlier splats with a smaller downward speed is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact is silent
 QUIET_TIME = 0.1  # of D / v: time of silence at the end
@@ -64,7 +64,8 @@ class EndCriterion(EndState):
     ) -> None:
         """Record the state at `time` s. sinking (m/s): downward speed of the centre of mass; force (N): upward contact force on the
         particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can absorb
-        far more than the energy left); is_above: whether its centre is above the target; work (J): energy dissipated so far."""
+        far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether its centre is above the
+        target; work (J): energy dissipated so far."""
         if self.time > 0.0:  # mean over about `quiet` s
             share = -math.expm1((self.time - time) / self.quiet)
             self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
@@ -74,14 +75,14 @@ class EndCriterion(EndState):
         if self.turned is None and self.touched and (sinking <= self.slow or glanced_off):
             self.turned = time
         self.risen |= self.turned is not None and sinking < 0.0
-        self.arrested |= self.risen and sinking >= 0.0 and grip in ("held", "secure")
+        self.arrested |= self.risen and sinking >= 0.0 and grip in ("held", "secure", "embedded")
         # energy of waves and of rotation can still break bonds
-        is_tearing = grip == "failing" or (grip != "free" and self.risen)
-        if grip == "free" or is_tearing or (grip == "held" and abs(sinking) > self.held_slow):
+        is_tearing = grip == "failing" or (grip in ("held", "secure") and self.risen)
+        if grip == "free" or is_tearing or (grip in ("held", "embedded") and abs(sinking) > self.held_slow):
             self.fast = time
         if is_above:
             self.above = time
-        if is_tearing or is_loud:
+        if is_tearing or is_loud or grip == "embedded":
             self.loud = time
 
     def reached(self, time: float) -> bool:
@@ -101,6 +102,11 @@ class EndCriterion(EndState):
         more."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the contact was not silent when last observed: it holds an embedded particle."""
+        return self.loud == self.time
 
     def slid_off(self, time: float) -> bool:
         """Whether the particle has left over the rim of the target: its contact has been silent for `quiet` s beyond the rim."""

@@ -81,6 +81,7 @@ class Impact(Course):
         self.ledger = Ledger.begin(domains)
         self.bonds: ParticleBonds | None = None
         self.exposure: Exposure | None = None
+        self._joins: np.ndarray | None = None  # (laws,): whether the particle can bond to each law of the target
         self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
 
@@ -214,6 +215,12 @@ class Impact(Course):
         chosen = touching.pressed
         if self.bonds is not None:
             chosen &= ~np.isin(touching.rows, self.bonds.bond.nodes)
+        if chosen.any():
+            if self._joins is None:
+                self._joins = np.array(
+                    [plan.adhesion.joins(impact_plan.material, metal) for metal in self._metals(plan)]
+                )
+            chosen &= self._joins[self.target.law_of[touching.element]]
         if chosen.any():
             chosen &= self._meets_criterion(plan, impact_plan, touching)
         if not chosen.any():

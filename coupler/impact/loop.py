@@ -31,8 +31,10 @@ def advance_to_end(
             touching = Touching(impact.domains)
             impact.expose(recorder.plan, recorder.impact_plan, touching)
             impact.bond(recorder.plan, recorder.impact_plan, touching)
-        force, above = float(impact.force[2]), recorder.is_above(impact)
-        ending.observe(impact.time, impact.sinking, force, impact.grip, above, impact.dissipated)
+        force, above, grip = float(impact.force[2]), recorder.is_above(impact), impact.grip
+        if recorder.impact_plan.material.is_ceramic and grip == "free" and impact.force.any():
+            grip = "embedded"
+        ending.observe(impact.time, impact.sinking, force, grip, above, impact.dissipated)
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(recorder.plan, recorder.impact_plan, Touching(impact.domains))

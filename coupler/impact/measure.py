@@ -21,6 +21,11 @@ def share_inside_itself(surface: CarriedSurface, x: np.ndarray) -> float:
     return float(np.mean(RaySurface(surface.positions(x), surface.triangles).windings(x) > 1))
 
 
+def tension(stress: np.ndarray) -> np.ndarray:
+    """Greatest principal stress (n,) Pa, tension positive, of tensors (n,6) Pa, Voigt xx yy zz yz xz xy."""
+    return np.linalg.eigvalsh(stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]])[:, -1]
+
+
 def crater_depth(surface: np.ndarray) -> float:
     """Depth of the crater below z = 0, m. surface (k,3) m: surface nodes of the target. The depth is 0 without nodes, as in the
     sub-domain of an impact on a pile higher than its window.

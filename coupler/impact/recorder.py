@@ -18,7 +18,7 @@ from ..progress import Progress
 from ..target.bodies import Bodies
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
-from .measure import crater_depth, measure
+from .measure import crater_depth, measure, tension
 from .validity import Extremes
 
 FITTED = 16  # nodes that `crater_depth` fits
@@ -32,7 +32,9 @@ class Recorded:
     """State of a `Recorder`. next_row, next_output (s): times of the next outputs; greatest: measures at the greatest deformation,
     None before it; over_rim: the particle has reached beyond the rim of the substrate and below its surface; at_rim: it has touched
     the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at (m): height of the
-    particle's centre at its last contact, or at the start before the first contact."""
+    particle's centre at its last contact, or at the start before the first contact. Of ceramics: tension, base_tension (Pa): greatest
+    tensile principal stress of the particle and of the substrate; broken_share: greatest share of the particle's points above its
+    tensile limit at one time."""
 
     next_row: float = 0.0
     next_output: float = 0.0
@@ -42,6 +44,9 @@ class Recorded:
     at_rim: bool = False
     met: Annotated[np.ndarray, Shape(-1)] = field(default_factory=lambda: np.zeros(0))
     touched_at: float = 0.0
+    tension: float = 0.0
+    base_tension: float = 0.0
+    broken_share: float = 0.0
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
@@ -139,6 +144,13 @@ class Recorder:
         of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
+        if (limit := self.impact_plan.material.tensile_limit) is not None:
+            at_points = tension(impact.particle.stress())
+            self.seen.tension = max(self.seen.tension, float(at_points.max()))
+            self.seen.broken_share = max(self.seen.broken_share, float(np.mean(at_points > limit)))
+        if substrate.material.is_ceramic:
+            in_base = tension(target.stress()[target.law_of == 0])
+            self.seen.base_tension = max(self.seen.base_tension, float(in_base.max()))
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
         self.seen.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         facets = impact.contact.touching(len(skin))[1]

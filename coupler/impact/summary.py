@@ -23,6 +23,8 @@ _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J",
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
 INSIDE_ITSELF = 0.002  # share of the points: below it they are single points outside the surface near an edge
 STUCK = "the particle sticks"  # reason for no rebound velocity
+# share of the points above the tensile limit at which a ceramic particle is broken: below it they are single points at its contact
+BROKEN_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,15 @@ def summarise(
     undecided, or if it is the rebound velocity of a particle that does not rebound.
     """
     # a coating continues without a particle that has slid off it
-    is_lost = len(recorder.plan.impacts) > 1 and ending.slid_off(impact.time)
-    undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
+    several, broken = len(recorder.plan.impacts) > 1, _broken(recorder)
+    is_lost = several and ending.slid_off(impact.time)
+    undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
     own = {
-        **verdict_values(recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.bonds, is_lost),
+        **verdict_values(
+            recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken
+        ),
         **_computed(impact, recorder),
         "wall_s": wall,
         "wall_loop_s": looped,
@@ -58,7 +63,7 @@ def summarise(
         "undecided": undecided,
     }
     end: Values = {**measured}
-    if not ending.settled(impact.time) and not is_lost:
+    if not ending.settled(impact.time) and not is_lost and not broken:
         own |= {"verdict": UNDECIDED, "verdict_by": None, "verdict_is_close": False, **dict.fromkeys(_NEED_VERDICT)}
         own["verdict_rests_on"] = undecided or "the particle is still in contact"
         own |= {"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}
@@ -73,6 +78,8 @@ def summarise(
         refused["dissipation_of_plastic"] = (
             f"the plastic work of the particle is below {FLOWS:.0%} of its kinetic energy"
         )
+    if recorder.impact_plan.material.is_ceramic:
+        own |= {"tension_max_Pa": recorder.seen.tension, "broken_share": recorder.seen.broken_share}
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
     greatest = accepted(recorder.seen.greatest, refused, "greatest.") if recorder.seen.greatest is not None else None
@@ -82,6 +89,15 @@ def summarise(
         list(retries),
         sum(particle.everywhere(peak_memory)),
     )
+
+
+def _broken(recorder: Recorder) -> str:
+    """Why a ceramic particle is broken; "" for a whole one and for a metal."""
+    limit, seen = recorder.impact_plan.material.tensile_limit, recorder.seen
+    if limit is None or seen.broken_share < BROKEN_SHARE:
+        return ""
+    text = f"tensile stress of up to {seen.tension / 1e6:.0f} MPa, above {limit / 1e6:.0f} MPa at {seen.broken_share:.0%} of its points"
+    return f"{text}: it is computed on as if whole, and counts as not deposited"
 
 
 def _computed(impact: Impact, recorder: Recorder) -> Values:
@@ -132,6 +148,11 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
                 f"impact {number}: {share:.1%} of the particle's points lie inside another part of it, where shape and strain are"
                 " wrong: try a finer preset"
             )
+    if (limit := plan.target.material.tensile_limit) is not None and recorder.seen.base_tension > limit:
+        beyond.append(
+            f"impact {number}: in the target the tensile stress reached {recorder.seen.base_tension / 1e6:.0f} MPa, but"
+            f" {plan.target.material.name} breaks at {limit / 1e6:.0f} MPa: it cracks, and is computed as if whole"
+        )
     if recorder.seen.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"

@@ -8,7 +8,18 @@ import numpy as np
 
 from ..contact.particle_bonds import FEWEST, ParticleBonds
 from ..files.summary import Values
-from ..measures import BY_BONDS, BY_FORMULA, BY_MOTION, BY_SCENE, REBOUNDS, STICKS, UNDECIDED
+from ..measures import (
+    BROKEN,
+    BY_BONDS,
+    BY_FORMULA,
+    BY_MOTION,
+    BY_SCENE,
+    BY_STRESS,
+    EMBEDDED,
+    REBOUNDS,
+    STICKS,
+    UNDECIDED,
+)
 from ..physics.adhesion import Adhesion
 from ..plan.planning import ImpactPlan
 
@@ -20,8 +31,8 @@ SCATTER = 0.5
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict "sticks", "rebounds" or "undecided", with its reasons. rests_on: values that decide it; by: method, one of
-    `measures.VERDICT_BY`.
+    """The verdict "sticks", "rebounds" or "undecided", of a ceramic also "embedded" or "broken", with its reasons. rests_on: values
+    that decide it; by: method, one of `measures.VERDICT_BY`.
 
     rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals,
     disagree and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if there
@@ -41,9 +52,15 @@ class Verdict:
     is_close: bool = False
 
 
-def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
+def judge(
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_held: bool = False
+) -> Verdict:
     """The verdict on a particle at the end of its impact. mass (kg); upwards (m/s): velocity of its centre normal to the surface;
-    bonds: bonds of the particle, None if nothing bonded."""
+    bonds: bonds of the particle, None if nothing bonded; is_held: whether the particle is still in contact, for a ceramic."""
+    if not impact.can_bond:
+        if impact.material.is_ceramic and (is_held or upwards <= REBOUND):
+            return Verdict(EMBEDDED, "it stays in its crater without a bond", BY_MOTION, rebounded=False)
+        return _unheld("no metallic bond forms with a ceramic", BY_MOTION, mass, upwards)
     if law.in_impact:
         decided = _by_bonds(mass, upwards, bonds)
         scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
@@ -76,7 +93,7 @@ def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
 def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
     """Whether a particle sticks because the scene ties it or because of its impact velocity, whatever its motion at the end of the
     impact."""
-    return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
+    return law.kind == "tied" and impact.can_bond and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
 def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdict:
@@ -128,26 +145,30 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 
 def verdict_values(
-    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False
-) -> Values:
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False,
+    is_held: bool = False, broken: str = "",
+) -> Values:  # fmt: skip
     """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case. rebound_velocity_m_s: velocity of the centre
-    of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact divided
-    by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held: as in `judge`; broken: why a ceramic
+    particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s: velocity of the
+    centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact
+    divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
     verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that
     still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
-    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds)
-    left = decided.rebounded
-    stays = left is False and (law.in_impact or decided.verdict == STICKS)
+    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held)
+    if broken:
+        decided = Verdict(BROKEN, broken, BY_STRESS, rebounded=True)
+    left, is_whole = decided.rebounded, decided.verdict != BROKEN
+    stays = left is False and (law.in_impact or decided.verdict in (STICKS, EMBEDDED))
     values: Values = {
         "verdict": decided.verdict, "verdict_criterion": law.words, "verdict_by": decided.by,
         "verdict_rests_on": decided.rests_on, "verdict_is_close": decided.is_close,
         "margin_J": decided.margin_J, "margin_m_s": decided.margin_m_s, "rebounded": left,
-        "restitution": max(upwards, 0.0) / impact.towards if left else 0.0 if stays else None,
-        "rebound_velocity_m_s": max(upwards, 0.0) if left else None,
+        "restitution": max(upwards, 0.0) / impact.towards if left and is_whole else 0.0 if stays else None,
+        "rebound_velocity_m_s": max(upwards, 0.0) if left and is_whole else None,
     }  # fmt: skip
     if law.in_impact:
         area, bond = (np.zeros(0), None) if bonds is None else (bonds.bond.area, bonds.bond)
@@ -168,7 +189,9 @@ def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
     A record can have the key detached_mass_kg: mass that has come off its splat. This mass is lost for both values.
     """
     mass = sum(record["particle_mass_kg"] for record in records)
-    decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}
+    decided = {
+        STICKS: (0.0, 0.0), EMBEDDED: (0.0, 0.0), REBOUNDS: (1.0, 1.0), BROKEN: (1.0, 1.0), UNDECIDED: (1.0, 0.0)
+    }  # fmt: skip
     lost = [0.0, 0.0]  # most, least
     for record in records:
         least = record.get("detached_mass_kg", 0.0)

@@ -24,6 +24,7 @@ MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
 REFERENCE, EXPONENT = 25e-6, -0.18  # diameter of the particles of the formula, m; exponent of the diameter
 # stiffness of the springs of a bonded particle over the bulk modulus of the softer metal per spacing, as in the contact
 PARTICLE_BOND_STIFFNESS = 1.0
+NEVER = 1.0 - 1e-9  # surface exposure that no surface reaches: of a ceramic
 
 
 def critical_velocity(material: Material, temperature: float, diameter: float = REFERENCE) -> float:
@@ -143,7 +144,10 @@ def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarr
 
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
     """The films between two metals: exposure at which both films have cracked, and strength times thickness (N/m) of the film with the
-    smaller fragments. Raises ColdsprayError if a metal has no data of its film."""
+    smaller fragments. A ceramic makes no metallic bond: the exposure is NEVER. Raises ColdsprayError if a metal has no data of its
+    film."""
+    if first.is_ceramic or second.is_ceramic:
+        return NEVER, 0.0
     for metal in (first, second):
         if None in (metal.oxide_thickness, metal.oxide_strength, metal.oxide_threshold):
             raise ColdsprayError(
@@ -269,6 +273,11 @@ class Adhesion:
                 own = {name: value for name in LAW if (value := vars(pair)[name]) is not None}
                 return replace(self, pairs=(), **own)
         return self
+
+    def joins(self, first: Material, second: Material) -> bool:
+        """Whether two materials can bond: metals can, a ceramic only by the law of a pair that names it."""
+        named = any(set(pair.metals) == {first.name, second.name} for pair in self.pairs)
+        return named or not (first.is_ceramic or second.is_ceramic)
 
     def bonded(
         self, nodes: int, plastic_strain: np.ndarray | None = None, pressure: np.ndarray | None = None,

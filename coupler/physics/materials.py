@@ -41,12 +41,13 @@ class Material:
     """A metal: strength law, shock equation of state, thermal data. SI units. None: not known.
 
     c0, s: constants of the Hugoniot. cp, k, thermal_expansion (linear): ((T, value), ...), one pair for a constant, or two pairs;
-    values are linear between the pairs and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities.
-    oxide_thickness, oxide_strength, oxide_threshold: thickness and strength of the native oxide film, and surface exposure at which
-    it cracks (`physics.adhesion`). burgers: Burgers vector. taylor_alpha: coefficient of Taylor's relation at 1e12 dislocations per
-    m2; 0: gradients of plastic strain do not harden the metal (`forest`). D_v, Q_v: factor and activation energy (J/mol) of
-    self-diffusion through the lattice. D_c, Q_c: factor and activation energy of diffusion along dislocations; the factor is
-    multiplied by the area of a dislocation core (`physics.recovery`).
+    values are linear between the pairs and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities. kind:
+    "metal" or "ceramic"; a ceramic, also a cemented carbide, makes no metallic bond and is broken where a tensile principal stress
+    exceeds tensile_limit. oxide_thickness, oxide_strength, oxide_threshold: thickness and strength of the native oxide film, and
+    surface exposure at which it cracks (`physics.adhesion`). burgers: Burgers vector. taylor_alpha: coefficient of Taylor's relation
+    at 1e12 dislocations per m2; 0: gradients of plastic strain do not harden the metal (`forest`). D_v, Q_v: factor and activation
+    energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: factor and activation energy of diffusion along dislocations; the
+    factor is multiplied by the area of a dislocation core (`physics.recovery`).
     """
 
     name: str
@@ -61,6 +62,8 @@ class Material:
     k: Annotated[Pairs, Number("W/(m K)", 0.01, 5000.0, True)]
     thermal_expansion: Annotated[Pairs, Number("1/K", 0.0, 1e-3, True)] = ((300.0, 0.0),)
     sigma_TS: Annotated[float | None, Number("MPa", 1e6, 1e10)] = None
+    kind: str = "metal"
+    tensile_limit: Annotated[float | None, Number("MPa", 1e6, 1e11)] = None
     oxide_thickness: Annotated[float | None, Number("nm", 1e-10, 1e-6)] = None
     oxide_strength: Annotated[float | None, Number("GPa", 1e6, 1e11)] = None
     oxide_threshold: Annotated[float | None, Number("", 0.0, 0.9)] = None
@@ -105,6 +108,11 @@ class Material:
     def hardened_by_gradients(self) -> bool:
         """Whether gradients of plastic strain can harden the metal."""
         return self.taylor_alpha > 0.0
+
+    @property
+    def is_ceramic(self) -> bool:
+        """Whether the material is brittle and makes no metallic bonds."""
+        return self.kind == "ceramic"
 
     @property
     def wave_speed(self) -> float:
@@ -274,6 +282,12 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
         )
     if metal.hardened_by_gradients and metal.burgers is None:
         problems.append("taylor_alpha needs the Burgers vector: give also burgers")
+    if metal.is_ceramic and metal.tensile_limit is None and "tensile_limit" not in table:
+        problems.append(
+            'tensile_limit: missing: a ceramic needs the tensile stress at which it breaks, as in tensile_limit = "260 MPa"'
+        )
+    if metal.tensile_limit is not None and not metal.is_ceramic:
+        problems.append('tensile_limit has no effect on a metal: leave it out, or give kind = "ceramic"')
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
     if not problems and not metal.flow_stress(0.0, 0.0, metal.T_ref) > 0.0:
@@ -384,6 +398,10 @@ def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Materi
 def _read(key: str, value: object) -> float | Pairs | str:
     if key in ("source", "note"):
         return library.read_text(value, _SAFE_TEXT, _SAFE_WORDS)
+    if key == "kind":
+        if value not in ("metal", "ceramic"):
+            raise ValueError('must be "metal" or "ceramic"')
+        return str(value)
     return (_pairs if LIMITS[key].varies else library.read_number)(value, *LIMITS[key][:3])
 
 

@@ -220,8 +220,8 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
         return
     scene = d.scene
     known = [catalogue[name] for name in dict.fromkeys(p.material for p in scene.particles) if name in catalogue]
-    without = ", ".join(metal.name for metal in known if metal.sigma_TS is None)
-    if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1:
+    without = ", ".join(metal.name for metal in known if metal.sigma_TS is None and not metal.is_ceramic)
+    if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1 and without:
         yield (
             ("adhesion.kind", "particle"),
             f"adhesion: several particles need a law of adhesion, and the critical velocity of {without} is not known (no sigma_TS):"
@@ -243,7 +243,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     hits = {p.material: (label, p.temperature) for label, p in zip(scene.labels, scene.particles, strict=True)}
     for name, (label, temperature) in hits.items():
         try:
-            if name in catalogue:
+            if name in catalogue and not catalogue[name].is_ceramic:
                 critical_velocity(catalogue[name], temperature)
         except ColdsprayError as error:
             yield ("adhesion.criterion", f"{label}.material"), f'adhesion.criterion = "velocity": {error}'

@@ -99,8 +99,9 @@ class Derived:
         table = self.scene.adhesion.model_dump()
         table["pairs"] = tuple(PairBond(**pair) for pair in table.pop("pair") or ())
         if table["kind"] is None and table["criterion"] is None:
-            metals = [self._catalogue[0].get(p.material) for p in self.scene.particles]
-            known = all(metal is None or metal.sigma_TS is not None for metal in metals)
+            found = [self._catalogue[0].get(p.material) for p in self.scene.particles]
+            metals = [metal for metal in found if metal is None or not metal.is_ceramic]
+            known = bool(metals) and all(metal is None or metal.sigma_TS is not None for metal in metals)
             table |= {"kind": "tied", "criterion": "velocity"} if known else {"kind": "none"}
         return Adhesion(**table | {"kind": table["kind"] or "tied", "criterion": table["criterion"] or "all"})
 

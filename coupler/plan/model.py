@@ -20,7 +20,8 @@ class ImpactPlan(Landing):
     computed, inf for all of it. Times in s: end_time: limit of the impact; expected: expected duration; dt_expected: mean step;
     rate_filter: time constant of the strain rate's average; output_every: time between written steps; dwell: time until the next
     impact. end_at: "rest", "greatest" (deformation) or "time". formula: critical velocities of the metals of the particle and of the
-    body that it hits. splat_elements: estimate, 0 if a rebound is expected."""
+    body that it hits. splat_elements: estimate, 0 if a rebound is expected. can_bond: whether the particle can bond to what it hits
+    (`Adhesion.joins`)."""
 
     material: Material
     shape: str
@@ -41,6 +42,7 @@ class ImpactPlan(Landing):
     lengths: tuple[float, float, float]
     splat_elements: int
     initial_strain: float
+    can_bond: bool = True
 
     @property
     def towards(self) -> float:

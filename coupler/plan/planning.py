@@ -104,6 +104,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
     if scene.end.at is not None:
         end_at = "rest" if scene.end.at == "cold" else scene.end.at
     material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
+    joins = scene.derived.adhesion_law.joins(material, base)
     load = estimates.loads((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
@@ -135,6 +136,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         lengths=particle.form.lengths,
         splat_elements=d.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
+        can_bond=joins or (on_splat and not material.is_ceramic),  # round a ceramic in a coating there is metal
     )
 
 

@@ -64,8 +64,14 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
-    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
-        name = impacts[0].material.name
+    for name in sorted({m.name for m in (base, *(i.material for i in impacts)) if m.is_ceramic}):
+        warnings.append(
+            f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"
+            " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens"
+        )
+    without = [i.material.name for i in impacts if i.material.sigma_TS is None and not i.material.is_ceramic]
+    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without:
+        name = without[0]
         warnings.append(
             f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; give sigma_TS under"
             f' [materials.{name}], or adhesion.kind ("none" if it shall not bond)'

@@ -11,16 +11,20 @@ from rich.text import Text
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
 from ..measures import (
+    BROKEN,
     BY_BONDS,
     BY_FORMULA,
     BY_MOTION,
     BY_SCENE,
+    BY_STRESS,
     CONVERGING,
     DISSIPATION_LIMIT,
+    EMBEDDED,
     GROUPS,
     REBOUNDS,
     STICKS,
     UNDECIDED,
+    VERDICTS,
     Measure,
     axis_label,
     measure,
@@ -133,7 +137,7 @@ def verdict(summary: Summary) -> list[str]:
     Several particles: how many stick, how many come off later, and a line for each particle. More than MOST_VERDICTS particles: how
     many verdicts each method decides, and the smallest margin."""
     records = summary.get("impacts", [])
-    counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
+    counts = {word: sum(r.get("verdict") == word for r in records) for word in VERDICTS}
     if sum(counts.values()) == 0:
         return []
     if len(records) == 1:
@@ -156,8 +160,10 @@ def verdict(summary: Summary) -> list[str]:
 
 
 _VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
-          (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
-_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "the scene", BY_MOTION: "motion alone"}
+          (EMBEDDED, True): "is embedded", (EMBEDDED, False): "are embedded", (BROKEN, True): "is broken",
+          (BROKEN, False): "are broken", (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
+_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "the scene", BY_MOTION: "motion alone",
+       BY_STRESS: "tensile stress"}  # fmt: skip
 _WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
 
 

@@ -14,7 +14,7 @@ from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import COLD, Result, first_step
 from ..geometry.tetrahedra import volumes
-from ..measures import UNDECIDED
+from ..measures import BROKEN, EMBEDDED, REBOUNDS, UNDECIDED
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 from ..report.words import with_error
@@ -26,6 +26,7 @@ FINEST = (
 )
 SECTORS = 8  # of the disc, for the standard error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
+FATES = {EMBEDDED: "embedded", REBOUNDS: "bounced", BROKEN: "broken"}  # verdicts on ceramic particles, and words
 NO_SEEDS = "not measured: compute three other seeds with coldspray coating DIR --seeds 3"
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
@@ -69,7 +70,7 @@ def read(result: Result, before: int | None = None) -> Splats:
     undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, metal, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size, is_cold, undecided)  # fmt: skip
+                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -235,6 +236,7 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
                 "metals": "; ".join(
                     f"{row['metal']} {row['volume_share']:.1%} of the volume, {row['fed_share']:.1%} of the mass fed,"
                     f" {row['deposited_share']:.1%} of the mass deposited, efficiency {row['efficiency']:.1%}"
+                    + "".join(f", {row[fate]} {word}" for fate, word in FATES.items() if fate in row)
                     for row in measures.phases
                 )
             }
@@ -249,7 +251,8 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
 
 def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
     """Fractions of each metal: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m.
-    efficiency: its mass in the coating divided by its fed mass. The last particle, which consists of points, has no volume here."""
+    efficiency: its mass in the coating divided by its fed mass. Of a ceramic also the numbers of particles with each of FATES. The last
+    particle, which consists of points, has no volume here."""
     mesh, stays = splats.mesh, splats.mass * splats.stayed
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
     own = (np.hypot(x, y) <= radius) & (splats.body > 0)
@@ -264,7 +267,9 @@ def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
             "fed_share": fed / splats.mass.sum(), "deposited_share": left / stays.sum(), "efficiency": left / fed,
             "volume_share": volume[of].sum() / max(volume.sum(), 1e-300),
         }  # fmt: skip
-        rows.append({"metal": str(name)} | {key: float(share) for key, share in shares.items()})
+        verdicts = [verdict for verdict, own in zip(splats.verdicts, of, strict=False) if own]
+        fates = {fate: verdicts.count(fate) for fate in FATES} if {EMBEDDED, BROKEN} & set(verdicts) else {}
+        rows.append({"metal": str(name)} | {key: float(share) for key, share in shares.items()} | fates)
     return rows
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.inputs import reading
-from ..measures import MEASURES, REBOUNDS, STICKS, UNDECIDED, Measure, axis_label, measure
+from ..measures import BROKEN, EMBEDDED, MEASURES, REBOUNDS, STICKS, UNDECIDED, Measure, axis_label, measure
 from ..report.picture import blank, label_log, save
 from . import maps
 from .maps import BAND, FORMULAS, LOGARITHMIC, Interpolation, shown
@@ -32,7 +32,7 @@ MOST_SLICES = 6  # values of a third axis: each has a row of panels
 MOST_LINES = 8  # in one picture; more are drawn as points in a plane
 NO_VALUE = "failed or without a value"
 # verdict -> marker of a point
-MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s", "no verdict": "D", NO_VALUE: "X"}
+MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s", EMBEDDED: "P", BROKEN: "*", "no verdict": "D", NO_VALUE: "X"}
 Axes_ = tuple[str, ...]
 
 

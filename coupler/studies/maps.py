@@ -19,7 +19,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_toml
-from ..measures import REBOUNDS, STICKS, UNDECIDED, measure
+from ..measures import UNDECIDED, VERDICTS, measure
 from .runs import run_point
 from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
 from .sweep import point_name, set_key, toml_text
@@ -187,7 +187,7 @@ def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Plac
     NARROW. "undecided" counts as a verdict."""
     at: dict[Place, list[Row]] = {}
     for row in rows:
-        if row.get("verdict") in (STICKS, REBOUNDS, UNDECIDED) and all(row[axis] is not None for axis in axes):
+        if row.get("verdict") in VERDICTS and all(row[axis] is not None for axis in axes):
             at.setdefault(tuple(float(row[axis]) for axis in axes), []).append(row)
     verdicts = {place: _common_verdict(here) for place, here in at.items()}
 

@@ -23,7 +23,7 @@ class Splats:
     m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
     kg: mass of each particle; metal (n,): name of the metal of each particle; planned: impacts of the run, in `layers` layers; patch:
     radius of the disc on which centres of particles fall, m; element_size (m): element size of the splats; undecided: indices of
-    impacts without a verdict, which count as stayed.
+    impacts without a verdict, which count as stayed; verdicts: verdicts of the finished impacts, empty while the run continues.
     """
 
     mesh: Fields
@@ -39,6 +39,7 @@ class Splats:
     element_size: float
     is_cold: bool = False
     undecided: tuple[int, ...] = ()
+    verdicts: tuple[str, ...] = ()
 
     @property
     def deposition_efficiency(self) -> float:

@@ -224,11 +224,12 @@ class Bodies:
 
     def joined(
         self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: Point, ratio: float | None, impact: int,
-        bonded: BondedPoints | None = None,
+        bonded: BondedPoints | None = None, partners: np.ndarray | None = None,
     ) -> "Bodies":  # fmt: skip
         """These bodies together with the finished splats of an impact, bonded by `adhesion`. Nodes are numbered outwards from origin
         (m). size (m): size of the elements; ratio: impact velocity divided by critical velocity; impact: number of the impact;
-        bonded: points that are bonded at the end of the impact, if bonds act in the impact (`Adhesion.in_impact`).
+        bonded: points that are bonded at the end of the impact, if bonds act in the impact (`Adhesion.in_impact`). partners: mask of
+        all bodies, the new ones included, to which the splats can bond, default all.
 
         The surfaces of the splats are fitted to those under them, so that contact starts without force. The result is not yet in
         equilibrium (`equilibrium.settle`). Raises SolverError when a splat cannot be fitted.
@@ -251,7 +252,11 @@ class Bodies:
             buried.append(_covered(contact_pairs, surfaces, x, body, near[body], reach))
             stiffness = penalty(float(new.target.laws["K"].min()), surfaces.spacing(x, body))
             if not adhesion.in_impact:
-                chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio) & (contact_pairs.area > 0.0)
+                chosen = contact_pairs.area > 0.0
+                if partners is not None:
+                    chosen &= partners[surfaces.body[contact_pairs.facet]]
+                if chosen.any():
+                    chosen &= _bonded(contact_pairs, surfaces, new.target, adhesion, ratio)
                 if chosen.any():
                     bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
             elif bonded is not None:
@@ -283,16 +288,24 @@ class Bodies:
             new.touch(past.renumbered(rank, len(new.target.nodes.x)))
         return new
 
-    def attached(self) -> np.ndarray:
-        """Mask (bodies,) of the bodies that are connected to the substrate by unbroken bonds, directly or through other bodies.
+    def attached(self, embedded: Iterable[int] = (), reach: float = 0.0) -> np.ndarray:
+        """Mask (bodies,) of the bodies that are connected to the substrate by unbroken bonds, directly or through other bodies. The
+        bodies `embedded` are also connected to what they touch, within `reach` m.
 
-        Mechanical interlocking of splats is not modelled.
+        Mechanical interlocking of other splats is not modelled.
         """
         pairs = np.zeros((2, 0), np.int64)
         if self.bond is not None:
             owner = np.zeros(len(self.target.nodes.x), np.int64)
             owner[self.target.mesh.conn] = self.body[:, None]
             pairs = owner[np.stack([self.bond.nodes, self.bond.triangles[:, 0]])[:, ~self.bond.broken]]
+        surfaces, x = self.surfaces, self.target.nodes.x
+        for body in embedded:
+            near = neighbours(*surfaces.boxes(x), body, reach)
+            under = (
+                np.unique(surfaces.body[interface(surfaces, x, body, reach, near).facet]) if near else np.zeros(0, int)
+            )
+            pairs = np.concatenate([pairs, [np.full(len(under), body), under]], axis=1)
         part = connected_parts(pairs.T, self.count)[1]
         return np.asarray(part == part[0])
 

@@ -84,6 +84,15 @@ def test_what_no_path_of_bonds_leads_to_is_not_held(column: Bodies) -> None:
     np.testing.assert_array_equal(column.attached(), [True, False, False, False])
 
 
+def test_an_embedded_body_is_held_by_what_it_touches(column: Bodies) -> None:
+    """The second block has no bond, and lies on the first."""
+    part(column, 2)
+    np.testing.assert_array_equal(column.attached([2], 0.6 * SIZE), [True, True, True, True])
+    own = np.unique(column.target.mesh.conn[column.body == 2])
+    column.target.nodes.x[own, 2] += SIZE
+    np.testing.assert_array_equal(column.attached([2], 0.1 * SIZE), [True, True, False, False])
+
+
 def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) -> None:
     """Two of three blocks of 20 um: the rest keeps its state to the last bit, and what they covered can be hit again."""
     part(column, 2)

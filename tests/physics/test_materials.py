@@ -56,8 +56,29 @@ def test_the_library_has_what_engineers_start_from():
 
 @pytest.mark.parametrize("name", materials.names())
 def test_elastic_constants_are_those_of_a_metal(name):
-    """Poisson's ratio of G and rho c0^2: 0.25 (Zn) to 0.40 (Nb) by handbooks; a c0 or a G of another metal falls outside."""
-    assert 0.24 < materials.material(name).nu < 0.40
+    """Poisson's ratio of G and rho c0^2: 0.25 (Zn) to 0.40 (Nb), of ceramics 0.14 to 0.24, by handbooks; a c0 or a G of another
+    material falls outside. A ceramic stays elastic up to its Hugoniot elastic limit, above the strength of any metal here."""
+    m = materials.material(name)
+    low, high = (0.14, 0.24) if m.is_ceramic else (0.24, 0.40)
+    assert low < m.nu < high
+    assert (m.flow_stress(0.0, 1e7, 300.0) > 2.5e9) == m.is_ceramic
+
+
+def test_a_ceramic_has_a_tensile_limit_and_a_metal_has_none():
+    tables = {
+        "Hard": {"base": "SiC", "tensile_limit": "2 GPa"}, "Bare": {"base": "Ni", "kind": "ceramic"},
+        "Soft": {"base": "Ni", "tensile_limit": "2 GPa"}, "Glass": {"base": "Ni", "kind": "glass"},
+    }  # fmt: skip
+    catalogue, problems = materials.from_scene(tables)
+    assert catalogue["Hard"].tensile_limit == 2e9
+    assert [problem.partition(":")[0] for problem in problems] == [
+        "materials.Bare",
+        "materials.Soft",
+        "materials.Glass",
+    ]
+    assert "tensile_limit: missing" in problems[0]
+    assert "tensile_limit has no effect on a metal" in problems[1]
+    assert 'kind must be "metal" or "ceramic"' in problems[2]
 
 
 def test_tin_has_the_moduli_of_handbooks():
