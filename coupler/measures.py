@@ -120,6 +120,7 @@ TABLE = (
         "surface_volume_error", "volume error of the surface, relative to the points", SHAPE, unit="%", factor=100.0,
         low=-SURFACE_VOLUME_LIMIT, high=SURFACE_VOLUME_LIMIT, beyond="the surface does not follow the points: use more points",
     ),
+    Measure("pore_share", "closed pores", SHAPE, unit="%", factor=100.0),
     Measure("height_m", group=SHAPE),
     Measure("thickness_m", group=SHAPE, low=0.0),
     Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),

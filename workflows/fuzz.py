@@ -30,6 +30,7 @@ from coupler.errors import StoreError
 from coupler.studies.sweep import toml_text
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
+CERAMICS = ("Al2O3", "SiC", "B4C", "TiC", "WC-Co")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
 PATIENCE = 600  # s of wall time
 ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
@@ -88,6 +89,16 @@ def scene(seed: int) -> dict[str, Any]:
         Sa = log_between(rough, 0.005, 0.08) * diameter
         length = max(4.0 * Sa, 7.0 * spacing) * rough.uniform(0.9, 3.0)
         substrate |= {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
+    hard = random.Random(f"hard {seed}")
+    for table in (*particles, substrate):
+        if hard.random() < 0.1:
+            table["material"] = hard.choice(CERAMICS)
+    for table in particles:
+        if hard.random() < 0.15 and table.get("shape") != "hollow_sphere":
+            table |= {
+                "porosity": round(hard.uniform(0.02, 0.3), 3),
+                "pore_diameter": f"{hard.uniform(2.5, 6.0) * spacing:.4g} um",
+            }
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}
     if dice.random() < 0.3:
         resolution["element_size"] = f"{spacing * dice.uniform(0.8, 1.6):.4g} um"

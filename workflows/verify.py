@@ -399,7 +399,8 @@ class _ImpactCheck:
         closed = enclosed_volume(inside.points, inside.cells) / self.p.volume
         data = self.last["particle"].data
         J = np.mean(volume_ratios(self.metal, mean_pressure(data["stress"]), data["T"], self.p.temperature))
-        limit = SKIN if value(self.record, "thickness_m") is not None else np.inf
+        enlarged = 1.0 / (1.0 - self.p.porosity) - 1.0  # pores lie inside the outer surface
+        limit = SKIN + enlarged if value(self.record, "thickness_m") is not None else np.inf
         self.hold("skin", closed / J - 1.0, limit, "volume inside the particle's surface, off that of its points")
         for k, ratio in splat_volumes(self.scene, self.first["target"], self.volumes[0], self.joins).items():
             self.hold("joined", ratio - 1.0, JOINED, f"volume of splat {k} against its mass")

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..errors import SplatError
 from .library import open3d
-from .triangles import enclosed_volume, open_or_double
+from .raycast import RaySurface
+from .triangles import Surface, enclosed_volume, open_or_double, shells, together
 
 if TYPE_CHECKING:
     from open3d.pybind.geometry import TriangleMesh
@@ -21,8 +22,8 @@ FRAGMENT = 0.01  # of the area of the surface: smaller separate parts are remove
 
 @dataclass(frozen=True)
 class Solid:
-    """A body, given by its closed surface: points (n,3), triangles (m,3) with outward normals. Its centroid is the origin, and its
-    volume is that of a sphere of diameter 1."""
+    """A body, given by its closed surface: points (n,3), triangles (m,3) with normals out of the metal. Its centroid is the origin, and
+    its volume is that of a sphere of diameter 1."""
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int64]
@@ -32,7 +33,8 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     """The solid inside a surface of points (n,3), in any unit, and triangles (m,3).
 
     Coincident corners are merged; double and empty triangles and fragments are removed; triangles are oriented outwards; a fine surface
-    is decimated to MOST_TRIANGLES. Raises SplatError if the surface bounds no solid, or more than one.
+    is decimated to MOST_TRIANGLES. A closed surface inside another is a pore. Raises SplatError if the surface bounds no solid, or more
+    than one.
     """
     mesh = _mesh(points, triangles)
     mesh.merge_close_vertices(100.0 * SAME_PLACE)
@@ -45,12 +47,7 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     label, _, area = (np.asarray(values) for values in mesh.cluster_connected_triangles())
     if not len(area) or not area.sum() > 0.0:
         raise SplatError("the surface has no area: give the triangles of a closed surface")
-    parts = np.flatnonzero(area > FRAGMENT * area.sum())
-    if len(parts) > 1:
-        raise SplatError(
-            f"the surface consists of {len(parts)} separate parts (bodies or cavities): give a single body without cavities"
-        )
-    mesh.remove_triangles_by_mask(label != parts[0])
+    mesh.remove_triangles_by_mask(area[label] <= FRAGMENT * area.sum())
     mesh.remove_unreferenced_vertices()
     if not mesh.is_edge_manifold():
         raise SplatError("the surface does not enclose a solid: an edge has more than two triangles")
@@ -72,14 +69,25 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
             f"the surface has {many} triangles and becomes invalid when it is reduced to {MOST_TRIANGLES}"
             f" triangles ({problem}): give fewer triangles"
         ) from None
+    x, t = _with_pores(x, t)
     volume = enclosed_volume(x, t)
-    if volume < 0.0:
-        t, volume = t[:, ::-1].copy(), -volume
     if volume < 1e-9 * float(np.prod(np.ptp(x, axis=0)) or 1.0):
         raise SplatError("the surface encloses no volume: give the triangles of a closed surface")
     a, b, c = (x[t[:, i]] for i in range(3))
     centre = np.einsum("ij,ij,ik->k", a, np.cross(b, c), a + b + c) / (24.0 * volume)
     return Solid((x - centre) * (np.pi / 6.0 / volume) ** (1.0 / 3.0), t)
+
+
+def _with_pores(x: NDArray, t: NDArray) -> Surface:
+    """A closed surface whose largest part is oriented outwards, and all others, which must lie inside it, inwards. Raises SplatError
+    if one lies outside."""
+    parts = [(own, out if enclosed_volume(own, out) > 0.0 else out[:, ::-1]) for own, out in shells((x, t))]
+    outer, *inner = sorted(parts, key=lambda part: -enclosed_volume(*part))
+    if inner and not RaySurface(*outer).inside(np.concatenate([own for own, _ in inner])).all():
+        raise SplatError(
+            f"the surface consists of {len(parts)} separate parts: give one body; only its pores may be separate"
+        )
+    return together([outer, *((own, out[:, ::-1]) for own, out in inner)])
 
 
 def _mesh(points: NDArray, triangles: NDArray) -> "TriangleMesh":

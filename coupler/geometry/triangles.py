@@ -1,8 +1,13 @@
 """Triangulated surfaces: triangles (m,3) on points (n,3). Lengths are in the unit of the points."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from .graph import connected_parts
+
+Surface = tuple[NDArray, NDArray]  # points (n,3) and triangles (m,3)
 VOLUME_TOLERANCE = 1e-9  # relative, of a corrected volume
 
 
@@ -78,6 +83,29 @@ def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
     """Volume inside a closed surface with outward normals, by the divergence theorem; negative for inward normals."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def shells(surface: Surface, smallest: float = 0.0) -> list[Surface]:
+    """The closed parts of a surface whose volume is at least `smallest`, largest first. A cavity has a negative volume and comes
+    last."""
+    vertices, triangles = surface
+    count, label = connected_parts(np.concatenate([triangles[:, :2], triangles[:, 1:]]), len(vertices))
+    parts = []
+    for component in range(count):
+        own = triangles[label[triangles[:, 0]] == component]
+        if len(own) == 0:
+            continue
+        part = compact(vertices, own)
+        if abs(enclosed_volume(*part)) >= smallest:
+            parts.append(part)
+    return sorted(parts, key=lambda part: -enclosed_volume(*part))
+
+
+def together(parts: Sequence[Surface]) -> Surface:
+    """One surface of several."""
+    first = np.cumsum([0, *(len(points) for points, _ in parts)])
+    triangles = [own + start for (_, own), start in zip(parts, first, strict=False)]
+    return np.concatenate([points for points, _ in parts]), np.concatenate(triangles)
 
 
 def open_or_double(triangles: np.ndarray) -> str:

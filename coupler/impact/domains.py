@@ -123,7 +123,8 @@ def build_domains(
     on, inside = plan.effects, None
     if on.particle_conduction:
         inside = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    itself = Folding(body, surface, place, k, plan.friction) if impact_plan.shape in SHAPES else None
+    folds = impact_plan.shape in SHAPES or body.inner is not None
+    itself = Folding(body, surface, place, k, plan.friction) if folds else None
     paths = HeatPaths(
         particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
     )
@@ -136,7 +137,7 @@ def body_of(plan: Plan, i: int) -> shapes.Body:
     if p.file:
         points, triangles = map(np.array, vars(plan.solids[p.file]).values())
         return shapes.of_surface(points, triangles, p.diameter, p.points, p.tilt, SURFACE_EDGE)
-    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE)
+    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE, p.pores)
 
 
 def build_particle(

@@ -69,9 +69,11 @@ def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]
     m = shape_measures(skin, surface.triangles, diameter)
-    m["surface_volume_error"] = (
-        enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.points.J) - 1.0
-    )
+    whole, outer = domains.whole_surface, enclosed_volume(skin, surface.triangles)
+    metal = outer if whole is surface else enclosed_volume(whole.positions(particle.x), whole.triangles)
+    m["surface_volume_error"] = metal * rho / float(particle.mass @ particle.points.J) - 1.0
+    if whole is not surface:
+        m["pore_share"] = 1.0 - metal / outer
     away = cKDTree(particle.x).query(vertices)[0]
     m["unresolved_share"] = float(np.mean(away > FAR * particle.spacing))
     m["eps_p_mean"] = float(np.average(particle.points.eps_p, weights=particle.mass))

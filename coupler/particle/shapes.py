@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 
 from ..geometry.raycast import RaySurface
 from ..geometry.remesh import even
-from ..geometry.triangles import correct_volume, surface_area
+from ..geometry.triangles import correct_volume, enclosed_volume, shells, surface_area, together
 from ..physics import shapes as morphology
 from . import packing
 
@@ -21,7 +21,7 @@ class Body:
 
     points (n,3); volume: volume of each point, which is the volume of the body divided by n; vertices (k,3), triangles (m,3): closed
     outer surface, normals outwards; area: area of this surface; half_height: depth of the lowest vertex below the centre; inner:
-    vertices and triangles of the surface of a cavity, normals into the cavity, or None.
+    vertices and triangles of the surfaces of cavities, normals into the cavities, or None.
     """
 
     points: np.ndarray
@@ -38,22 +38,27 @@ class Body:
         return float(self.volume ** (1.0 / 3.0))
 
 
-def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
+def shape(
+    name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8, pores: morphology.Pores | None = None
+) -> Body:  # fmt: skip
     """A body of a shape in `physics.shapes.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
-    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface divided by the spacing of the points.
+    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface divided by the spacing of the points;
+    pores: cavities, which enlarge the shape: the volume is that of the metal.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
     inner = None
-    if name == "sphere":
+    if pores is not None:
+        body = _porous(form.scaled((1.0 + pores.volume / volume) ** (1.0 / 3.0)), pores, volume, points, edge)
+    elif name == "sphere":
         cloud, each = packing.sphere(diameter, points)
         skin = packing.surface(diameter, edge * each ** (1.0 / 3.0))
         body = Body(cloud, each, *skin, np.pi * diameter**2, 0.5 * diameter)
     else:
         half = (0.5 * form.lengths[0], 0.5 * form.lengths[1], 0.5 * form.lengths[2])
         flat = _FLAT.get(name, ())
-        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, flat)
+        cloud, each = packing.fill(form.contains, half, volume, points, flat)
         vertices, triangles = _surface(form, edge * each ** (1.0 / 3.0))
         if name == "hollow_sphere":
             hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))
@@ -64,13 +69,38 @@ def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: floa
     return _tilted(body, tilt) if tilt else body
 
 
+def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, points: int, edge: float) -> Body:
+    """A body with pores. form: with them; volume m3: without them; points, edge: as in `shape`. Its centre of mass is the origin."""
+    centres, radius = np.array(pores.centres), 0.5 * pores.diameter
+    middle = -pores.volume / volume * centres.mean(axis=0)
+
+    def inside(x: np.ndarray) -> np.ndarray:
+        metal = form.contains(x + middle)
+        for centre in centres:
+            metal &= np.linalg.norm(x + middle - centre, axis=1) > radius
+        return metal
+
+    a, b, c = (0.5 * length + abs(float(off)) for length, off in zip(form.lengths, middle, strict=True))
+    cloud, each = packing.fill(inside, (a, b, c), volume, points)
+    spacing = each ** (1.0 / 3.0)
+    vertices, triangles = _surface(form, edge * spacing)
+    hole, facing_out = packing.surface(pores.diameter, edge * spacing)
+    hole *= (pores.volume / len(centres) / enclosed_volume(hole, facing_out)) ** (
+        1.0 / 3.0
+    )  # a coarse surface has chords
+    holes = (centres[:, None] + hole - middle).reshape(-1, 3)
+    facing = (facing_out[:, ::-1] + len(hole) * np.arange(len(centres))[:, None, None]).reshape(-1, 3)
+    area, half = surface_area(vertices, triangles), float(middle[2] - vertices[:, 2].min())
+    return Body(cloud, each, vertices - middle, triangles, area, half, (holes, facing))
+
+
 def of_surface(
     points: np.ndarray, triangles: np.ndarray, diameter: float, count: int, tilt: float = 0.0, edge: float = 0.8
 ) -> Body:
     """A body inside a closed surface of points and triangles (`geometry.solid.Solid`), scaled to the volume of a sphere of
     `diameter` m. count: approximate number of points; tilt, edge: as in `shape`.
 
-    The surface is meshed again with even edges, and moved along its normals to the exact volume.
+    The surface is meshed again with even edges, and moved along its normals to the exact volume. Closed surfaces inside it are pores.
     """
     volume, x = np.pi / 6.0 * diameter**3, points * diameter
     source = RaySurface(x, triangles)
@@ -78,8 +108,9 @@ def of_surface(
     cloud, each = packing.fill(source.inside, (a, b, c), volume, count)
     vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), lambda at: source.feet(at)[0])
     vertices, _ = correct_volume(vertices, corners, volume, 0.5 * each ** (1.0 / 3.0))
+    (vertices, corners), *holes = shells((vertices, corners))
     area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
-    body = Body(cloud, each, vertices, corners, area, half)
+    body = Body(cloud, each, vertices, corners, area, half, together(holes) if holes else None)
     return _tilted(body, tilt) if tilt else body
 
 
@@ -87,7 +118,7 @@ def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> 
     """A cylinder of `diameter` and `length` m along z, with about `points` points. edge: as in `shape`."""
     volume = np.pi / 4.0 * diameter**2 * length
     half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
-    cloud, each = packing.fill(lambda x: _in_cylinder(half[0], half[2], x), half, volume, points, (2,))
+    cloud, each = packing.fill(lambda x: morphology.in_cylinder(half[0], half[2], x), half, volume, points, (2,))
     skin = revolved(_cylinder_profile(half[0], half[2]), edge * each ** (1.0 / 3.0))
     return Body(cloud, each, *skin, surface_area(*skin), half[2])
 
@@ -102,29 +133,9 @@ def _tilted(body: Body, tilt: float) -> Body:
     return replace(body, points=points, vertices=vertices, half_height=half, inner=inner)
 
 
-def _inside(form: morphology.Form, x: np.ndarray) -> np.ndarray:
-    a, b, c = (0.5 * length for length in form.lengths)
-    if form.name == "rod":
-        along = np.clip(x[:, 0], c - a, a - c)
-        return (x[:, 0] - along) ** 2 + x[:, 1] ** 2 + x[:, 2] ** 2 < c * c
-    if form.name == "flake":
-        return _in_cylinder(a, c, x)
-    if form.name == "angular":
-        # faces of the cuboctahedron: |x|, |y|, |z| < 1 and |x| + |y| + |z| < 2
-        u = np.abs(x / np.array([a, b, c]))
-        return (u.max(axis=1) < 1.0) & (u.sum(axis=1) < 2.0)
-    radius = np.einsum("ij,ij->i", x / np.array([a, b, c]), x / np.array([a, b, c]))
-    hole = morphology.HOLLOW_RATIO**2 if form.name == "hollow_sphere" else 0.0
-    return (radius < 1.0) & (radius >= hole)
-
-
-def _in_cylinder(radius: float, half_length: float, x: np.ndarray) -> np.ndarray:
-    return (x[:, 0] ** 2 + x[:, 1] ** 2 < radius**2) & (np.abs(x[:, 2]) < half_length)
-
-
 def _surface(form: morphology.Form, edge: float) -> tuple[np.ndarray, np.ndarray]:
     a, _, c = (0.5 * length for length in form.lengths)
-    if form.name == "hollow_sphere":
+    if form.name in ("sphere", "hollow_sphere"):
         return packing.surface(2.0 * a, edge)
     if form.name == "angular":
         return _polyhedron(np.array(form.corners), edge)

@@ -20,7 +20,12 @@ centre.
 
 import itertools
 import math
+import random
 from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.arrays import Floats
 
 ASPECT = {"sphere": 1.0, "hollow_sphere": 1.0, "oblate": 1.67, "rod": 6.17, "flake": 2.41, "angular": 1.31}
 SHAPES = tuple(ASPECT)
@@ -34,6 +39,11 @@ _CUBOCTAHEDRON_VOLUME = 20.0 / 3.0
 def sphere_volume(diameter: float) -> float:
     """Volume (m3) of a sphere with a given diameter (m)."""
     return math.pi / 6 * diameter**3
+
+
+def in_cylinder(radius: float, half_length: float, x: Floats) -> np.ndarray:
+    """Mask (k,) of the points x (k,3) m in a cylinder about z around the origin."""
+    return (x[:, 0] ** 2 + x[:, 1] ** 2 < radius**2) & (np.abs(x[:, 2]) < half_length)
 
 
 @dataclass(frozen=True)
@@ -70,11 +80,71 @@ class Form:
     def _extent(self, nx: float, ny: float, nz: float) -> float:
         return self.support(nx, ny, nz) + self.support(-nx, -ny, -nz)
 
+    def contains(self, x: Floats) -> np.ndarray:
+        """Mask (k,) of the points x (k,3) m, from the centre, that lie inside the shape at tilt 0. Not for a shape from a file."""
+        a, b, c = (0.5 * length for length in self.lengths)
+        if self.name == "rod":
+            along = np.clip(x[:, 0], c - a, a - c)
+            return (x[:, 0] - along) ** 2 + x[:, 1] ** 2 + x[:, 2] ** 2 < c * c
+        if self.name == "flake":
+            return in_cylinder(a, c, x)
+        if self.name == "angular":
+            # faces of the cuboctahedron: |x|, |y|, |z| < 1 and |x| + |y| + |z| < 2
+            u = np.abs(x / np.array([a, b, c]))
+            return (u.max(axis=1) < 1.0) & (u.sum(axis=1) < 2.0)
+        radius = np.einsum("ij,ij->i", x / np.array([a, b, c]), x / np.array([a, b, c]))
+        hole = HOLLOW_RATIO**2 if self.name == "hollow_sphere" else 0.0
+        return (radius < 1.0) & (radius >= hole)
+
     def scaled(self, factor: float) -> "Form":
         """The shape with all lengths multiplied by a factor."""
         a, b, c = (factor * length for length in self.lengths)
         corners = tuple((factor * x, factor * y, factor * z) for x, y, z in self.corners)
         return Form(self.name, (a, b, c), factor * self.thinnest, corners)
+
+
+@dataclass(frozen=True)
+class Pores:
+    """Closed spherical pores of one particle. diameter m; centres m: at tilt 0, from the centre of the shape."""
+
+    diameter: float
+    centres: tuple[tuple[float, float, float], ...]
+
+    @property
+    def volume(self) -> float:
+        """Volume of all pores, m3."""
+        return len(self.centres) * sphere_volume(self.diameter)
+
+
+WALL = 0.1  # pore diameters: least metal between a pore and the surface, or another pore
+_AROUND = 100  # points around a pore that must lie inside
+_STARTS, _TRIES = 30, 100  # arrangements that are tried, and random places for each pore of one
+
+
+def pores(outer: Form, metal: float, share: float, diameter: float, seed: int) -> Pores:
+    """Pores at random places within a shape, wholly inside and apart from each other, the same on all machines.
+
+    outer: the shape with its pores; metal m3: its volume without them; share: volume of the pores over that of the shape; diameter m:
+    about that of a pore, such that a whole number of pores has this share. Raises ValueError if they do not fit.
+    """
+    volume = metal * share / (1.0 - share)
+    count = max(1, round(volume / sphere_volume(diameter)))
+    d = diameter * (volume / count / sphere_volume(diameter)) ** (1.0 / 3.0)
+    turn = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(_AROUND)  # Fibonacci's lattice on the sphere
+    height = 1.0 - (2.0 * np.arange(_AROUND) + 1.0) / _AROUND
+    level = np.sqrt(1.0 - height**2)
+    ball = (0.5 + WALL) * d * np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
+    dice = random.Random(seed)
+    for _ in range(_STARTS):
+        centres = list[tuple[float, float, float]]()
+        for _ in range(_TRIES * count):
+            x, y, z = ((dice.random() - 0.5) * length for length in outer.lengths)
+            apart = all(math.dist(other, (x, y, z)) > (1.0 + WALL) * d for other in centres)
+            if apart and outer.contains(ball + np.array([x, y, z])).all():
+                centres.append((x, y, z))
+            if len(centres) == count:
+                return Pores(d, tuple(centres))
+    raise ValueError(f"{count} pores of {d * 1e6:.3g} um do not fit: give a smaller porosity or pore_diameter")
 
 
 def form(name: str, diameter: float) -> Form:

@@ -18,6 +18,7 @@ from .derived import Derived
 _LEAST_WINDOW = 0.6  # radius over the width of a particle: the footprint of a splat
 STEEPEST = 0.25  # Sa over the correlation length: root mean square slope 0.63, time steps of elements decrease to 0.7
 _CELLS_OF_ROUGHNESS = 4.0  # elements in a correlation length
+_CELLS_OF_PORE = 3.0  # spacings in a pore: walls that were closer do not meet (`impact.folding`)
 _DEEPEST = 0.05  # Sa over the height of the target: at smaller values the heights of elements change by a fifth at most
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
@@ -58,6 +59,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
             yield _wrong("end.ambient", d.ambient, "K", text)
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         yield from _hardness(where, particle, catalogue.get(particle.material))
+        yield from _pores(where, particle, d.spacing)
     yield from _room(d)
     yield from _resolution(d)
     asked = not isinstance(scene.effects, str) and {"gradient_hardening", "+gradient_hardening"} & set(scene.effects)
@@ -96,6 +98,20 @@ def _hardness(where: str, particle: Particle, material: Material | None) -> Iter
         except ValueError as error:
             value = text_of(dict(particle)[field], "HV" if field == "hardness" else "MPa")
             yield (f"{where}.{field}", f"{where}.material"), f"{where}.{field} = {value}: {error}"
+
+
+def _pores(where: str, particle: Particle, spacing: float) -> Iterator[Problem]:
+    """Check that the pores of a particle fit into it, and that points resolve them."""
+    looked = (*(f"{where}.{name}" for name in (*_EXTENT, "pore_seed")), "preset", "resolution.spacing")
+    try:
+        pores = particle.pores()
+    except ValueError as error:
+        yield (f"{where}.porosity", f"{where}.pore_diameter", *looked), f"{where}.porosity: {error}"
+        return
+    if pores is not None and pores.diameter < _CELLS_OF_PORE * spacing:
+        finer = _um(pores.diameter / _CELLS_OF_PORE)
+        text = f"not resolved by points {_um(spacing)} apart: give larger pores, or resolution.spacing, {finer} at most"
+        yield _wrong(f"{where}.pore_diameter", pores.diameter, "um", text, f"{where}.porosity", *looked)
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
 
 def particles(
     table: Coating, fed: Sequence[Fed], passes: Sequence[int], dwells: Sequence[float | None], angle: float = 0.0
-) -> list[dict[str, str | list[str]]]:
+) -> list[dict[str, object]]:
     """The particles of a coating as tables of a scene, in the order of their impacts, layer by layer.
 
     All random numbers are from `random.Random.random`, which is equal in all versions of Python. The texts have all digits of the
@@ -160,14 +160,14 @@ def particles(
     return drawn
 
 
-def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[str, str | list[str]]:
+def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[str, object]:
     """A random particle of a powder. place: x, y (m) of its centre."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
     off = _cut_normal(dice.random())
     u, tilt = dice.random(), 180.0 * dice.random() - 90.0
     shape = "file" if fed.files else _shape(table, u)
-    particle: dict[str, str | list[str]] = {
+    particle: dict[str, object] = {
         "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
         "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
     }  # fmt: skip
@@ -183,6 +183,9 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
         particle["hardness"] = units.show(table.hardness, "HV")
     if table.yield_strength is not None:
         particle["yield_strength"] = units.show(table.yield_strength, "MPa")
+    if table.pore_diameter is not None:
+        particle |= {"porosity": table.porosity, "pore_diameter": units.show(table.pore_diameter, "um")}
+        particle["pore_seed"] = int(2**31 * dice.random())
     return particle
 
 

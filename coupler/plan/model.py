@@ -6,6 +6,7 @@ from typing import Literal
 
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
+from ..physics.shapes import Pores
 from ..scene.effects import Effects
 from ..scene.tables import Face
 from .batches import Batch, Landing, batches_of
@@ -21,7 +22,7 @@ class ImpactPlan(Landing):
     rate_filter: time constant of the strain rate's average; output_every: time between written steps; dwell: time until the next
     impact. end_at: "rest", "greatest" (deformation) or "time". formula: critical velocities of the metals of the particle and of the
     body that it hits. splat_elements: estimate, 0 if a rebound is expected. can_bond: whether the particle can bond to what it hits
-    (`Adhesion.joins`)."""
+    (`Adhesion.joins`). pores: pores of the particle, None if it is dense."""
 
     material: Material
     shape: str
@@ -43,6 +44,7 @@ class ImpactPlan(Landing):
     splat_elements: int
     initial_strain: float
     can_bond: bool = True
+    pores: Pores | None = None
 
     @property
     def towards(self) -> float:

@@ -136,6 +136,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         lengths=particle.form.lengths,
         splat_elements=d.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
+        pores=particle.pores(),
         can_bond=joins or (on_splat and not material.is_ceramic),  # round a ceramic in a coating there is metal
     )
 

@@ -120,7 +120,8 @@ def _particle(impact: ImpactPlan) -> str:
 
 
 def _shape(impact: ImpactPlan) -> str:
-    return Path(impact.file).name if impact.file else impact.shape.replace("_", " ")
+    shape = Path(impact.file).name if impact.file else impact.shape.replace("_", " ")
+    return f"{shape} with {len(impact.pores.centres)} pores," if impact.pores else shape
 
 
 def _at(x: float, y: float) -> str:

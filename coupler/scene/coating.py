@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSch
 
 from .. import units
 from ..physics import shapes as morphology
-from .tables import DIAMETER, DWELL, KELVIN, VELOCITY, BySize, Quantity, Section
+from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Quantity, Section
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
@@ -61,7 +61,7 @@ class PowderTable(Section):
     smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
     (m/s): standard deviation, limited to two deviations. shapes: fraction by number of each shape; shapes other than spheres have a
     random tilt. files: pattern of names of files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa):
-    as in `Particle`.
+    as in `Particle`; porosity, pore_diameter (m) too.
     """
 
     material: str
@@ -77,6 +77,8 @@ class PowderTable(Section):
     files: str | None = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
+    porosity: POROSITY = 0.0
+    pore_diameter: PORE_DIAMETER = None
 
     @field_validator("shapes")
     @classmethod

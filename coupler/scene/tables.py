@@ -96,6 +96,8 @@ DWELL = Quantity("us", "0 s", "10 s", auto=True)
 VELOCITY = Quantity("m/s", "10 m/s", "2000 m/s")
 _GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
 KELVIN = Quantity("K", "100 K", "5000 K")
+POROSITY = Annotated[StrictFloat, Field(ge=0.0, le=0.4)]
+PORE_DIAMETER = Annotated[float | None, Quantity("um", "0.1 um", "100 um")]
 
 
 class Section(BaseModel):
@@ -127,7 +129,8 @@ class Particle(Section):
 
     shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: diameter of the sphere of equal
     volume; tilt (rad): rotation of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness,
-    yield_strength (Pa; at most one of them): values of the powder, instead of those of the metal.
+    yield_strength (Pa; at most one of them): values of the powder, instead of those of the metal. porosity: volume fraction of closed
+    pores of about pore_diameter (m), at places from pore_seed.
     """
 
     material: str
@@ -143,6 +146,9 @@ class Particle(Section):
     dwell: Annotated[float | None, DWELL] = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
+    porosity: POROSITY = 0.0
+    pore_diameter: PORE_DIAMETER = None
+    pore_seed: StrictInt = Field(1, ge=0, le=2**31)
     _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
 
     @model_validator(mode="after")
@@ -150,6 +156,20 @@ class Particle(Section):
         if (self.shape == "file") != (self.file is not None):
             raise ValueError('needs file (such as "powder.stl") if shape = "file", and no file otherwise')
         return self
+
+    @model_validator(mode="after")
+    def _has_sized_pores(self) -> "Particle":
+        if (self.porosity > 0.0) != (self.pore_diameter is not None):
+            raise ValueError('needs porosity = 0.1 and pore_diameter = "5 um", both of them or none')
+        if self.porosity > 0.0 and self.shape in ("hollow_sphere", "file"):
+            raise ValueError(f'has no porosity with shape = "{self.shape}": a file has its pores as surfaces inside it')
+        return self
+
+    def pores(self) -> morphology.Pores | None:
+        """The pores, None for a dense particle. Raises ValueError if they do not fit."""
+        if self.pore_diameter is None:
+            return None
+        return morphology.pores(self.form, self.volume, self.porosity, self.pore_diameter, self.pore_seed)
 
     @property
     def volume(self) -> float:
@@ -161,7 +181,7 @@ class Particle(Section):
         """The shape in the size of the particle. A shape from a file is a sphere until the file is read (`coupler.plan.solids`)."""
         if self.shape == "file":
             return (self._of_file or morphology.form("sphere", 1.0)).scaled(self.diameter)
-        return morphology.form(self.shape, self.diameter)
+        return morphology.form(self.shape, self.diameter).scaled((1.0 - self.porosity) ** (-1.0 / 3.0))
 
     @property
     def width(self) -> float:

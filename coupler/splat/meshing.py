@@ -15,6 +15,7 @@ from ..geometry.remesh import even
 from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import enclosed_volume, open_or_double
+from ..geometry.triangles import shells as shells_of
 from . import field as fields
 from . import quality, surface
 from .cloud import Cloud, Report
@@ -130,7 +131,7 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
     metal, pieces = fields.clean(metal, level, min_void)
     if not pieces:
         raise SplatError("the body is so thin or small that the smoothing removes it")
-    shells = surface.shells(surface.contour(metal, level), 0.2 * min_void)
+    shells = shells_of(surface.contour(metal, level), 0.2 * min_void)
     return Shape(metal, level, error, pieces, shells, sum(surface.handles(shell) for shell in shells))
 
 

@@ -6,34 +6,14 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from ..geometry import triangles as triangulated
-from ..geometry.graph import connected_parts
-from ..geometry.triangles import compact, enclosed_volume
+from ..geometry.triangles import Surface
 from .field import Field
-
-Surface = tuple[np.ndarray, np.ndarray]
 
 
 def contour(field: Field, level: float) -> Surface:
     """Vertices (k,3) m and triangles (m,3), normals outwards, of a level set (marching cubes, Lewiner 2003)."""
     vertices, triangles, _, _ = marching_cubes(field.values, level, gradient_direction="ascent")
     return field.origin + vertices.astype(float) * field.h, triangles.astype(np.int64)
-
-
-def shells(surface: Surface, smallest: float) -> list[Surface]:
-    """The closed parts of a surface whose volume is at least `smallest` m3, largest first. A cavity has a negative volume and comes
-    last."""
-    vertices, triangles = surface
-    pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    count, label = connected_parts(pairs, len(vertices))
-    parts = []
-    for component in range(count):
-        own = triangles[label[triangles[:, 0]] == component]
-        if len(own) == 0:
-            continue
-        part = compact(vertices, own)
-        if abs(enclosed_volume(*part)) >= smallest:
-            parts.append(part)
-    return sorted(parts, key=lambda part: -enclosed_volume(*part))
 
 
 def handles(surface: Surface) -> int:

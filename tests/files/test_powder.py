@@ -135,6 +135,23 @@ def test_a_ball_from_a_file_is_the_sphere() -> None:
     np.testing.assert_allclose(body.points.var(axis=0) + cell, D**2 / 20.0, rtol=0.01)
 
 
+def test_a_closed_surface_inside_another_is_a_pore() -> None:
+    """Whichever way its triangles turn: a ball of radius 1 with a cavity of 0.5 has 7/8 of its volume, and points in none of it."""
+    (x, t), (hole, facing) = packing.surface(2.0, 0.15), packing.surface(1.0, 0.15)
+    for turned in (facing, facing[:, ::-1]):
+        solid = solid_of(np.concatenate([x, hole + np.array([0.3, 0.0, 0.0])]), np.concatenate([t, turned + len(x)]))
+        assert enclosed_volume(solid.points, solid.triangles) == pytest.approx(SPHERE)
+    body = shapes.of_surface(solid.points, solid.triangles, D, 1000)
+    assert body.inner is not None
+    outer, inner = enclosed_volume(body.vertices, body.triangles), enclosed_volume(*body.inner)
+    assert outer + inner == pytest.approx(SPHERE * D**3, rel=1e-6)
+    assert -inner / outer == pytest.approx(0.125, rel=0.05)  # of coarse surfaces, whose triangles are chords
+    middle = body.inner[0].mean(axis=0)
+    assert (
+        np.linalg.norm(body.points - middle, axis=1).min() > 0.9 * np.linalg.norm(body.inner[0] - middle, axis=1).min()
+    )
+
+
 def test_files_of_all_kinds_and_faults_that_can_be_mended() -> None:
     x, t = packing.surface(2.0, 0.3)
     soup = x[t].reshape(-1, 3), np.arange(3 * len(t)).reshape(-1, 3)  # as in STL: no triangle shares its corners

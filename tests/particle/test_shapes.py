@@ -141,6 +141,37 @@ def test_points_are_inside_the_surface(body: tuple[str, shapes.Body]) -> None:
         assert enclosed_volume(*b.inner) < 0
 
 
+@pytest.mark.parametrize("name", ["sphere", "angular", "rod"])
+def test_pores_have_their_share_and_lie_in_the_metal(name: str) -> None:
+    """The volume of metal is that of the dense shape, the centre of mass the origin; pores touch neither each other nor the surface."""
+    outer = morphology.form(name, D).scaled(0.92 ** (-1.0 / 3.0))
+    pores = morphology.pores(outer, V, 0.08, 5e-6, 3)
+    assert pores == morphology.pores(outer, V, 0.08, 5e-6, 3) != morphology.pores(outer, V, 0.08, 5e-6, 4)
+    assert pores.volume / (pores.volume + V) == pytest.approx(0.08, rel=1e-12)
+    apart = np.linalg.norm(np.array(pores.centres)[:, None] - pores.centres, axis=2)
+    assert apart[apart > 0.0].min() > 1.1 * pores.diameter
+    b = shapes.shape(name, D, 800, 0.3, pores=pores)
+    assert b.inner is not None
+    assert len(b.points) * b.volume == pytest.approx(V, rel=1e-12)
+    assert enclosed_volume(b.vertices, b.triangles) + enclosed_volume(*b.inner) == pytest.approx(V, rel=0.01)
+    assert -enclosed_volume(*b.inner) == pytest.approx(pores.volume, rel=1e-6)
+    middles = b.inner[0].reshape(len(pores.centres), -1, 3).mean(axis=1)
+    nearest = np.linalg.norm(b.points[:, None] - middles, axis=2).min()
+    assert nearest > 0.5 * pores.diameter - 0.3 * b.spacing  # the lattice is moved to its centre of mass
+    assert solid_angle(b.inner[0][::5], b.vertices, b.triangles).min() > 0.5
+    weights = [enclosed_volume(v, t) * _centroid(v, t) for v, t in ((b.vertices, b.triangles), b.inner)]
+    np.testing.assert_allclose(sum(weights) / V, 0.0, atol=0.02 * b.spacing)
+    with pytest.raises(ValueError, match="give a smaller porosity or pore_diameter"):
+        morphology.pores(outer, V, 0.4, 9e-6, 1)
+
+
+def _centroid(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Centre (3,) of the volume inside a closed surface."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    v = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    return (v[:, None] * (a + b + c)).sum(0) / 4 / v.sum()
+
+
 @pytest.mark.parametrize("name", list(ASPECT))
 @pytest.mark.parametrize("tilt", [0.0, 0.4, np.pi / 2, -0.7])
 def test_extents_when_tilted(name: str, tilt: float) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import problems_with
 
 from coupler import Scene
 from coupler.errors import SceneError
@@ -194,3 +195,30 @@ def test_a_path_needs_a_coating() -> None:
         Scene.from_text(alone)
     (problem,) = error.value.problems
     assert problem.startswith("spray.passes and spray.angle are for the particles of a table [coating]")
+
+
+def test_a_porous_powder_has_pores_of_its_own_in_each_particle() -> None:
+    """The draw of all else is that of the dense powder, up to the first particle with pores."""
+    text = BLEND.replace("hardness =", 'porosity = 0.1\npore_diameter = "6 um"\nhardness =')
+    porous = [p for p in Scene.from_text(text).particles if p.material == "Al1100"]
+    assert {p.porosity for p in porous} == {0.1}
+    assert len({p.pore_seed for p in porous}) == len(porous)
+    for particle in porous[:3]:
+        pores = particle.pores()
+        assert pores is not None
+        assert pores.volume / (pores.volume + particle.volume) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"porosity": 0.1}, "needs porosity = 0.1 and pore_diameter"),
+        ({"porosity": 0.1, "pore_diameter": "1 um"}, "not resolved by points"),
+        ({"porosity": 0.4, "pore_diameter": "9 um"}, "do not fit: give a smaller porosity"),
+        ({"porosity": 0.1, "pore_diameter": "9 um", "shape": "hollow_sphere"}, "has no porosity with shape"),
+    ],
+)
+def test_pores_that_cannot_be_are_refused(keys: dict[str, object], told: str) -> None:
+    (problem,) = problems_with(particle={"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"} | keys)
+    assert problem.startswith("particle")
+    assert told in problem
