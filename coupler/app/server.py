@@ -3,7 +3,10 @@
 import hmac
 import secrets
 import socket
+import webbrowser
 from collections.abc import Awaitable, Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -85,9 +88,16 @@ def serve(workspace: Workspace, port: int, show: bool) -> None:
     app.add_static_files("/files", workspace.runs, max_cache_age=0)
     app.add_middleware(Guard, token=token, cookie=f"coldspray-{port}")
     add_pages(workspace)
-    print(f"coldspray on {workspace.root}: http://{HOST}:{port}/?token={token}", flush=True)
+    address = f"http://{HOST}:{port}/?token={token}"
+    print(f"coldspray on {workspace.root}: {address}", flush=True)
     print("Ctrl-C stops the page; its runs continue", flush=True)
-    ui.run(
-        host=HOST, port=port, title="coldspray", dark=None, reload=False, show=f"/?token={token}" if show else False,
-        show_welcome_message=False, uvicorn_logging_level="warning", favicon="❄",
-    )  # fmt: skip
+    with TemporaryDirectory(prefix=".open_", dir=workspace.root) as private:
+        # the arguments of a browser are visible to all users of the machine: it gets a file that leads to the address
+        leads = Path(private) / "open.html"
+        leads.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+        if show:
+            app.on_startup(lambda: webbrowser.open(leads.as_uri()))
+        ui.run(
+            host=HOST, port=port, title="coldspray", dark=None, reload=False, show=False,
+            show_welcome_message=False, uvicorn_logging_level="warning", favicon="❄",
+        )  # fmt: skip

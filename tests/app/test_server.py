@@ -3,6 +3,8 @@
 import asyncio
 import socket
 import sys
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 
@@ -10,7 +12,10 @@ from coupler.commands.main import main
 
 pytest.importorskip("nicegui")
 
+from coupler.app import server
 from coupler.app.server import Guard
+from coupler.app.workspace import Workspace
+from coupler.studies.pace import Pace
 
 HOST, TOKEN = b"127.0.0.1:8501", "secret"
 
@@ -85,3 +90,20 @@ def test_without_its_packages_the_command_names_the_extra(tmp_path, monkeypatch,
     error = capsys.readouterr().err
     assert "pip install coldspray[app]" in error
     assert error.count("\n") == 1
+
+
+def test_the_token_is_not_among_the_arguments_of_the_browser(tmp_path, monkeypatch, capsys):
+    """All users of a machine see the arguments of a process."""
+    opened = []
+    monkeypatch.setattr(server.ui, "run", lambda **_: None)
+    monkeypatch.setattr(server.app, "add_middleware", lambda *_, **__: None)
+    monkeypatch.setattr(server.app, "on_startup", lambda call: call())
+    monkeypatch.setattr(server, "add_pages", lambda _: None)
+    monkeypatch.setattr(
+        server.webbrowser, "open", lambda url: opened.append((url, Path(unquote(urlsplit(url).path)).read_text()))
+    )
+    server.serve(Workspace(tmp_path, {}, Pace(1.0, "")), 0, show=True)
+    (url, page), address = opened[0], capsys.readouterr().out.split()[3]
+    assert address in page
+    assert address.split("token=")[1] not in url
+    assert not list(tmp_path.glob(".open_*"))
