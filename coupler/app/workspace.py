@@ -156,7 +156,8 @@ class Workspace:
                 os.killpg(int(read_text(folder / PID)), kind)
 
     def call(self, *words: str) -> str:
-        """Execute a short command and return its printed text. Raises ColdsprayError with the message of the command."""
+        """Run a command of coldspray that ends within seconds and return its printed text. words: the words after `coldspray`. Raises
+        ColdsprayError with the message of the command."""
         done = subprocess.run(
             [sys.executable, "-m", "coupler", *words], cwd=self.root, env=_environment(), stdin=subprocess.DEVNULL,
             capture_output=True, text=True,

@@ -333,7 +333,7 @@ def _export(arguments: argparse.Namespace) -> int:
     claim_folder(out, "export", NAMES, [arguments.run], arguments.force)
     with reading(arguments.run), options.working("reading the run") as progress:
         written = write_fields(result, out, progress.stage)
-    print(f"{', '.join(file.name for file in written)} in {out}")
+    print(f"{', '.join(file.name for file in written)} written to {out}")
     return 0
 
 
@@ -351,7 +351,7 @@ def _compare(arguments: argparse.Namespace) -> int:
         table = comparison_table(results)
         compare(results, arguments.out)
     Console().print(table)
-    print(f"comparison in {arguments.out}")
+    print(f"comparison written to {arguments.out}")
     return 0
 
 

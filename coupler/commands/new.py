@@ -112,7 +112,9 @@ def schema(arguments: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_text(claim_file(arguments.out, (".json",), force=arguments.force), text)
-        print(f'schema in {arguments.out}; a scene names it in its first line: "#:schema {arguments.out}"')
+        print(
+            f"schema written to {arguments.out}; an editor uses it if the first line of a scene is: #:schema {arguments.out}"
+        )
     return 0
 
 

@@ -105,9 +105,9 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
-    """Draw velocity against temperature at impact as PNG: the size classes of the powder, and the limits of the window for the median
-    diameter (m). Filled markers: classes above their own critical velocity, which depends on the diameter. within: as in `text_of`;
-    conditions: gas and nozzle, for the title."""
+    """Draw velocity against temperature at impact as PNG: the size classes of the powder, and the limits of the window of deposition
+    for the median diameter (m). Filled markers: classes above their own critical velocity, which depends on the diameter. within:
+    relative uncertainty of the critical velocity; conditions: gas and nozzle, for the title."""
     import numpy as np
     from matplotlib import colormaps
     from matplotlib.colors import Normalize

@@ -84,12 +84,12 @@ def _shapes(kind: type[object]) -> dict[str, Shape]:
 
 
 def shapes_of(record: object) -> dict[str, Shape]:
-    """The array fields of a record, or of its class, by name."""
+    """The annotations of the array fields of a record, or of its class, by name."""
     return _shapes(record if isinstance(record, type) else type(record))
 
 
 def rows_of(record: object) -> dict[str, Rows]:
-    """The array fields that have a row for each node, element or point, by name."""
+    """The annotations of the array fields that have a row for each node, element or point, by name."""
     return {name: spec for name, spec in shapes_of(record).items() if isinstance(spec, Rows)}
 
 

@@ -41,11 +41,11 @@ _EXACT = 1e-6  # K: accuracy of a given temperature
 def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
     """Conduct heat for `time` s, and bring the bodies to equilibrium again. Returns the report.
 
-    kinetic_0: kinetic energy of the impacts before, J; radius: distance from the start of the numbering, m, within which the
-    impacts have left the bodies out of equilibrium. Bottom and sides of the substrate keep its temperature; the jet heats the
+    kinetic_0: kinetic energy of the impacts before, J; radius: distance from the point of impact, m, within which the impacts
+    have left the bodies out of equilibrium. Bottom and sides of the substrate keep its temperature; the jet heats the
     surface if the scene has a spray; other surfaces are insulated; touching bodies conduct as in perfect contact. A first
-    equilibrium relaxes the imbalance from the impacts, which is not thermal. Both equilibria also include the region where
-    temperatures have changed by COOLER.
+    equilibrium relaxes the imbalance from the impacts, which is not thermal. Both equilibria also include the
+    elements whose temperature changes by more than `COOLER`, or whose plastic strain recovers.
     """
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])

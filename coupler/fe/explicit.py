@@ -354,7 +354,8 @@ class Target(TargetState):
             self._weigh()
 
     def activate_all(self, limit: float = np.inf) -> None:
-        """Activate all nodes and elements within `limit` m of the point of impact, and no others until `deactivate_beyond`."""
+        """Activate all nodes and elements within `limit` m of the point of impact. The others stay inactive until
+        `deactivate_beyond`."""
         self.reach, self.limit, self.active_nodes, self.active_elements = np.inf, limit, 0, 0
         self._activate(0.0)
 

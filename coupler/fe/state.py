@@ -59,7 +59,8 @@ class Balance(Sums):
 
 @dataclass(eq=False)
 class EdgeState:
-    """State of an elastic boundary (`fe.window.Edge`): origin (3,) m; rest (k,3) m: rest positions of its nodes."""
+    """State of an elastic boundary (`fe.window.Edge`). origin (3,) m: source of the waves that it absorbs; rest (k,3) m: rest
+    positions of its nodes."""
 
     origin: Annotated[np.ndarray, Shape(3)]
     rest: Annotated[np.ndarray, Shape(-1, 3)]

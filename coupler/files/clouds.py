@@ -77,7 +77,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> Points:
     with open_input(path) as stream, NpzFile(stream) as archive:
         of_points = next((name for name in ("points", "x") if name in archive), None)
         if of_points is None:
-            raise ValueError("it has no array 'points' or 'x'")
+            raise ValueError("the file has neither an array 'points' nor an array 'x'")
         wanted = [name for name in archive if name == of_points or name.lower() in known]
         members = archive.zip.infolist() if archive.zip is not None else []
         sizes = [member.file_size for member in members if member.filename.removesuffix(".npy") in wanted]

@@ -65,7 +65,9 @@ def _stl(raw: bytes) -> Surface:
         if room < 1:
             raise ValueError("it is not a text STL with facets, and too short for a binary STL")
         if not room - 1 <= count <= room:
-            raise ValueError(f"its header states {count} triangles, its {len(raw)} bytes hold {room}; {_CUT_OFF}")
+            raise ValueError(
+                f"the header states {count} triangles, but the size of the file is that of {room}; {_CUT_OFF}"
+            )
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
     return _triangles(corners, np.arange(len(corners)).reshape(-1, 3).tolist())
 

@@ -86,8 +86,8 @@ def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
 
 
 def shells(surface: Surface, smallest: float = 0.0) -> list[Surface]:
-    """The closed parts of a surface whose volume is at least `smallest`, largest first. A cavity has a negative volume and comes
-    last."""
+    """The closed parts of a surface whose volume, without its sign, is at least `smallest` (unit of the vertices cubed), largest
+    first. A cavity has a negative volume and comes last."""
     vertices, triangles = surface
     count, label = connected_parts(np.concatenate([triangles[:, :2], triangles[:, 1:]]), len(vertices))
     parts = []

@@ -95,7 +95,8 @@ class Derived:
 
     @cached_property
     def adhesion_law(self) -> Adhesion:
-        """The law of adhesion of splats. Raises SceneError if the table [adhesion] is wrong; a checked scene has a law."""
+        """The law of adhesion of splats. Raises SceneError if the table [adhesion] is wrong, which
+        does not occur for a checked scene."""
         table = self.scene.adhesion.model_dump()
         table["pairs"] = tuple(PairBond(**pair) for pair in table.pop("pair") or ())
         if table["kind"] is None and table["criterion"] is None:

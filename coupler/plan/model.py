@@ -48,7 +48,7 @@ class ImpactPlan(Landing):
 
     @property
     def towards(self) -> float:
-        """Velocity normal to the surface, m/s."""
+        """Velocity of the particle towards the flat surface, along its normal, m/s."""
         return -self.velocity[2]
 
     @property

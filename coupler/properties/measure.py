@@ -217,8 +217,8 @@ def _elastic(sample: Sample) -> Problem:
 
 
 def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, Bracket]:
-    """Thermal conductivities (W/mK) and electrical conductivities (S/m), for the greatest and the least conductance of surfaces that
-    touch. The electrical conductivity of the bulk metal follows from the law of Wiedemann and Franz."""
+    """Thermal conductivities, W/(m K), and electrical conductivities, S/m. conductance: greatest and least thermal conductance of
+    touching surfaces, W/(m2 K). The electrical conductivity of the bulk metal follows from the law of Wiedemann and Franz."""
     bulk, block = sample.of_each(lambda m: m.k_at(ROOM)), sample.block
     mean, values = sample.mean(lambda m: m.k_at(ROOM)), {}
     of_element = mean / float(np.cbrt(block.volume / len(block.tets)))

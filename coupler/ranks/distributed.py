@@ -112,7 +112,8 @@ class DistributedParticle:
         return self.whole("stress")
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal for a mesh of the points in their current positions, by name (`physics.metal`)."""
+        """State of the metal at the points, which a mesh of their current positions takes over: arrays (n, ...) by name
+        (`physics.metal`)."""
         return self._all(self.ask("carried"))
 
     def warm(self, heat: np.ndarray) -> None:
@@ -128,7 +129,8 @@ class DistributedParticle:
         return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), self.totals)
 
     def restore(self, state: ParticleState) -> None:
-        """Set new parts of the particle, on any number of ranks, to a state. Raises CheckpointError if the state does not fit."""
+        """Set the particle to a state, directly after it has been distributed. The number of ranks may differ from that of the run that
+        saved the state. Raises CheckpointError if the state does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.steps, self.dt = state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS computes its strains in the next step

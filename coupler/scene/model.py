@@ -45,7 +45,9 @@ class SceneData(tables.Section):
         if not isinstance(value, list):
             return [value]
         if not value:
-            raise ValueError("needs a table [particle], or a [[particle]] for each of several impacts")
+            raise ValueError(
+                "is an empty list: give a table [particle], or one table [[particle]] for each of several impacts"
+            )
         if len(value) > MOST_IMPACTS:
             raise ValueError(f"has {len(value)} impacts; at most {MOST_IMPACTS} are possible")
         return value

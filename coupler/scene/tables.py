@@ -153,14 +153,18 @@ class Particle(Section):
 
     @model_validator(mode="after")
     def _file_of_shape(self) -> "Particle":
-        if (self.shape == "file") != (self.file is not None):
-            raise ValueError('needs file (such as "powder.stl") if shape = "file", and no file otherwise')
+        if self.shape == "file" and self.file is None:
+            raise ValueError('has shape = "file": give file, such as "powder.stl"')
+        if self.shape != "file" and self.file is not None:
+            raise ValueError('has a file: set shape = "file", or remove file')
         return self
 
     @model_validator(mode="after")
     def _has_sized_pores(self) -> "Particle":
         if (self.porosity > 0.0) != (self.pore_diameter is not None):
-            raise ValueError('needs porosity = 0.1 and pore_diameter = "5 um", both of them or none')
+            raise ValueError(
+                'needs both porosity and pore_diameter, such as 0.1 and "5 um"; leave out both for no pores'
+            )
         if self.porosity > 0.0 and self.shape in ("hollow_sphere", "file"):
             raise ValueError(f'has no porosity with shape = "{self.shape}": a file has its pores as surfaces inside it')
         return self

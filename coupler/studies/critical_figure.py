@@ -1,4 +1,4 @@
-"""The picture of a search of the critical velocity."""
+"""The picture of a search for the critical velocity."""
 
 import math
 from collections.abc import Sequence

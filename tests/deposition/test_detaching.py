@@ -54,7 +54,8 @@ every = "10 ns"
 
 @pytest.fixture(scope="module")
 def planned() -> Plan:
-    return plan(Scene.from_text(KNOCKED_OFF, "two"))
+    known = plan(Scene.from_text(KNOCKED_OFF, "four"))
+    return replace(known, impacts=known.impacts * 2)
 
 
 @pytest.fixture

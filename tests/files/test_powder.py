@@ -292,7 +292,7 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"particle__shape": "file"}, "needs file .such as"),
+        ({"particle__shape": "file"}, "shape = .file.: give file, such as"),
         ({"particle__file": "a.stl"}, "and no file otherwise"),
         (
             {"particle__shape": "file", "particle__file": "not_there.stl"},

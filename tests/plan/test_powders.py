@@ -212,7 +212,7 @@ def test_a_porous_powder_has_pores_of_its_own_in_each_particle() -> None:
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ({"porosity": 0.1}, "needs porosity = 0.1 and pore_diameter"),
+        ({"porosity": 0.1}, "needs both porosity and pore_diameter"),
         ({"porosity": 0.1, "pore_diameter": "1 um"}, "not resolved by points"),
         ({"porosity": 0.4, "pore_diameter": "9 um"}, "do not fit: give a smaller porosity"),
         ({"porosity": 0.1, "pore_diameter": "9 um", "shape": "hollow_sphere"}, "has no porosity with shape"),

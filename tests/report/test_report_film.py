@@ -207,7 +207,7 @@ def test_page_of_two_runs(folder, other, tmp_path):
 def test_comparing_on_the_command_line(folder, other, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["compare", str(folder), str(other)]) == 0
-    assert "comparison in comparison.png" in capsys.readouterr().out
+    assert "comparison written to comparison.png" in capsys.readouterr().out
     assert (tmp_path / "comparison.png").is_file()
     empty = tmp_path / "empty"
     empty.mkdir()

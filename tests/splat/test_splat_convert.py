@@ -13,7 +13,7 @@ from mesher_that_fails import dies, hangs
 
 from coupler.errors import DependencyError, SplatError
 from coupler.geometry import tetrahedra
-from coupler.geometry.triangles import open_or_double
+from coupler.geometry.triangles import open_or_double, shells
 from coupler.particle import packing, shapes
 from coupler.particle.carried_surface import CarriedSurface
 from coupler.splat import meshing, quality, surface
@@ -76,7 +76,7 @@ def test_a_closed_cavity_stays_one() -> None:
     cloud = cloud_of("hollow_sphere", 2000)
     (body,) = convert(cloud, 1.7 * cloud.spacing).bodies
     is_good(body, cloud.solid_volume)
-    assert len(surface.shells((body.points, tetrahedra.boundary_faces(body.tets)[0]), 0.0)) == 2
+    assert len(shells((body.points, tetrahedra.boundary_faces(body.tets)[0]), 0.0)) == 2
 
 
 def test_bodies_apart_are_kept_and_dust_is_counted_as_lost() -> None:
