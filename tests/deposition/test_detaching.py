@@ -54,8 +54,8 @@ every = "10 ns"
 
 @pytest.fixture(scope="module")
 def planned() -> Plan:
-    known = plan(Scene.from_text(KNOCKED_OFF, "four"))
-    return replace(known, impacts=known.impacts * 2)
+    known = plan(Scene.from_text(KNOCKED_OFF, "six"))
+    return replace(known, impacts=known.impacts * 3)
 
 
 @pytest.fixture

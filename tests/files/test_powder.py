@@ -242,8 +242,8 @@ def test_a_concave_side_is_cut_into_triangles_that_lie_in_it(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("name", "raw", "told"),
     [
-        ("more.stl", binary_stl(15), "states 15 triangles, its 684 bytes hold 12"),
-        ("less.stl", binary_stl(9), "states 9 triangles, its 684 bytes hold 12"),
+        ("more.stl", binary_stl(15), "states 15 triangles, but the size of the file is that of 12"),
+        ("less.stl", binary_stl(9), "states 9 triangles, but the size of the file is that of 12"),
         ("cut.stl", text_stl()[:-60], "33 corners for 12 facets; the file is damaged or incomplete"),
         ("cut.ply", ply("binary_little_endian", HALVES)[:-9], "ends before the values that its header states"),
         ("zero.obj", obj(CORNERS, SIDES), "or with an index outside its 8"),
@@ -293,7 +293,7 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
     ("changes", "told"),
     [
         ({"particle__shape": "file"}, "shape = .file.: give file, such as"),
-        ({"particle__file": "a.stl"}, "and no file otherwise"),
+        ({"particle__file": "a.stl"}, "has a file: set shape"),
         (
             {"particle__shape": "file", "particle__file": "not_there.stl"},
             r"particle\.file: .*not_there\.stl is missing",

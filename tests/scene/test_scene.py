@@ -131,7 +131,7 @@ def test_all_problems_at_once():
         ("effects", "some", "auto, all, none"),
         ("effects", ["friction", "friction"], "twice"),
         ("effects", [1], "auto, all, none"),
-        ("particle", [], "needs a table [particle]"),
+        ("particle", [], "give a table [particle]"),
         ("particle", [NI] * 501, "has 501 impacts; at most 500"),
         ("particle", 3, "expected a table"),
         ("particle", [NI, 3], "particle[2] = 3: expected a table [[particle]]"),

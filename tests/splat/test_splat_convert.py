@@ -16,7 +16,7 @@ from coupler.geometry import tetrahedra
 from coupler.geometry.triangles import open_or_double, shells
 from coupler.particle import packing, shapes
 from coupler.particle.carried_surface import CarriedSurface
-from coupler.splat import meshing, quality, surface
+from coupler.splat import meshing, quality
 from coupler.splat.cloud import Body, Cloud
 from coupler.splat.convert import convert
 
