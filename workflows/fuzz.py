@@ -58,6 +58,19 @@ def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any
     return table | {name: value for name, value in maybe.items() if dice.random() < (0.4 if alone else 0.25)}
 
 
+def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
+    """Keys of a shaped surface, in a fifth of the scenes. diameter, spacing: of the particle and its points, um."""
+    angle, depth = dice.uniform(20.0, 65.0), diameter * log_between(dice, 0.05, 0.8)
+    across = {"angle": f"{angle:.4g} deg", "direction": f"{dice.uniform(-180.0, 180.0):.4g} deg"}
+    width = max(7.0 * spacing, 2.0 * depth / math.tan(math.radians(angle))) * dice.uniform(0.95, 2.0)
+    kinds: dict[str, dict[str, str]] = {
+        "groove": {"width": f"{width:.4g} um", "depth": f"{max(depth, 0.1):.4g} um"} | across,
+        "step": {"height": f"{max(depth, 0.1):.4g} um"} | across,
+        "slope": across | {"angle": f"{dice.uniform(1.0, 30.0):.4g} deg"},
+    }
+    return {name: kinds[name] for name in kinds if dice.random() < 0.07}
+
+
 def flight_time(table: dict[str, Any], spacing: float) -> float:
     """Time in ns from the start of a particle to its contact. spacing: um; half of it is the gap unless said."""
     gap, velocity, angle = (
@@ -99,6 +112,7 @@ def scene(seed: int) -> dict[str, Any]:
                 "porosity": round(hard.uniform(0.02, 0.3), 3),
                 "pore_diameter": f"{hard.uniform(2.5, 6.0) * spacing:.4g} um",
             }
+    substrate |= shape(random.Random(f"shape {seed}"), diameter, spacing)
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}
     if dice.random() < 0.3:
         resolution["element_size"] = f"{spacing * dice.uniform(0.8, 1.6):.4g} um"

@@ -149,6 +149,8 @@ def _values(entry: Entry) -> str:
         return str(choices[0]["description"]) + (", or pairs" if len(choices) > 1 else "")
     if choices[0] is not entry:
         return " or ".join(dict.fromkeys(_values(choice) for choice in choices))
+    if "$ref" in entry:
+        return "a table"
     if "enum" in entry:
         return " ".join(f"`{value}`" for value in entry["enum"])
     if "prefixItems" in entry:

@@ -13,6 +13,8 @@ from ..geometry.triangles import area_vectors
 from .model import Cells, Metals
 from .state import Balance, ElementState, NodeState
 
+UPWARDS = 0.25  # of the unit normal of a facet: a flank of 75 degrees
+
 
 @dataclass(frozen=True)
 class TetMesh:
@@ -115,10 +117,11 @@ def cells_of(mesh: TetMesh) -> Cells:
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets of a cylinder or box by their normals: top (upwards), bottom (downwards), sides (all others)."""
+    """Facets of a cylinder or box by their normals: top (upwards), bottom (downwards), sides (all others). A shaped top may be as
+    steep as its flanks (`plan.ground`)."""
     normal = area_vectors(points, corners)
     steep = normal[:, 2] / np.linalg.norm(normal, axis=1)
-    top, bottom = steep > 0.5, steep < -0.5
+    top, bottom = steep > UPWARDS, steep < -UPWARDS
     return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
 
 

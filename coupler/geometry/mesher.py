@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 
 from ..errors import SolverError, SplatError
-from .tetrahedra import COARSEST, oriented
+from .tetrahedra import COARSEST, boundary_faces, oriented
 
 HXT, DELAUNAY = 10, 1
 
@@ -57,31 +57,43 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
 def cylinder(
     diameter: float, height: float, size: float, refined_radius: float, growth: float, centre: tuple[float, float] = (0.0, 0.0),
     sizes_to: float | None = None, sector: float = 2.0 * math.pi, spread: float = 0.0,
+    top: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
 
     Element edges are `size` within refined_radius of a disc on the top face, whose radius is `spread` and whose centre is `centre`.
     Outside they grow by `growth` per unit of distance up to sizes_to (default: a sixth of the smaller dimension). sector: angle, rad,
-    of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0.
+    of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0. top: heights (k,) m of
+    the top face at points (k,2) m, instead of 0: the surface of the flat cylinder is displaced along z, and filled again.
     """
     unit = size  # gmsh has absolute tolerances for numbers near one
     most = (sizes_to or COARSEST * min(diameter, height)) / unit
 
-    def model(gmsh: ModuleType) -> None:
-        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
-        gmsh.model.occ.synchronize()
+    def sized(gmsh: ModuleType, level: float = 0.0) -> None:
         axis = f"(x-({centre[0] / unit:.12g}))^2+(y-({centre[1] / unit:.12g}))^2"
         if spread > 0.0:
             beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
             axis = f"(0.5*({beyond}+Abs({beyond})))^2"
-        beyond = f"(Sqrt({axis}+z^2)-{refined_radius / unit:.12g})"
+        depth = f"(z-({level / unit:.12g}))" if level else "z"
+        beyond = f"(Sqrt({axis}+{depth}^2)-{refined_radius / unit:.12g})"
         grown = f"1+{growth:.12g}*(0.5*({beyond}+Abs({beyond})))"
         field = gmsh.model.mesh.field.add("MathEval")
         gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
+    def model(gmsh: ModuleType) -> None:
+        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
+        gmsh.model.occ.synchronize()
+        sized(gmsh)
+
     points, tets = build(model)
-    return points * unit, tets
+    if top is None:
+        return points * unit, tets
+    used, faces = np.unique(boundary_faces(tets)[0], return_inverse=True)
+    shell = points[used] * unit
+    shell[:, 2] += top(shell[:, :2]) * (1.0 + shell[:, 2] / height)
+    level = float(top(np.array([centre]))[0])
+    return fill([(shell, faces.reshape(-1, 3))], size, sizes=lambda gmsh: sized(gmsh, level))
 
 
 def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -98,11 +110,13 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
 
 
 def fill(
-    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT
-) -> tuple[np.ndarray, np.ndarray]:
+    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT,
+    sizes: Callable[[ModuleType], None] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces, which do not change.
 
-    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. Raises SplatError if gmsh fails.
+    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities; sizes: sets other sizes of edges in
+    gmsh, in units of `size`. Raises SplatError if gmsh fails.
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -119,8 +133,11 @@ def fill(
             elements += len(triangles)
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+        if sizes is not None:
+            sizes(gmsh)
+        else:
+            gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
         # quality below which elements are optimised; at the default 0.3 the worst one has a time step some 30 % shorter
         gmsh.option.setNumber("Mesh.OptimizeThreshold", 0.45)
 

@@ -14,7 +14,6 @@ from ..fe.explicit import Target
 from ..fe.mesh import prepare
 from ..geometry import mesher
 from ..geometry.apart import apart
-from ..geometry.rough import roughened
 from ..particle import shapes
 from ..particle.carried_surface import CarriedSurface
 from ..particle.engine import engine
@@ -65,12 +64,12 @@ def build_target(plan: Plan) -> Bodies:
     """Make the mesh of the substrate, which is the target of the first impact. Starts gmsh."""
     t = plan.target
     sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
-    points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread), MESHING_LIMIT)
+    top = None if t.is_flat else t.heights
+    points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread, top=top), MESHING_LIMIT)
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
-    if t.roughness is not None:
-        points = roughened(points, t.height, t.diameter, *t.roughness)
-    mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))
+    at = plan.impacts[0].offset
+    mesh = prepare(points, tets, (*at, float(t.heights(np.array([at]))[0])))
     if cut := t.faces("half_space"):
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
         mesh = replace(mesh, axis=np.array(t.centre))

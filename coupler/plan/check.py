@@ -14,11 +14,15 @@ from ..scene.model import SceneData
 from ..scene.tables import Particle, Substrate
 from . import cost as estimates
 from .derived import Derived
+from .ground import ground_of
 
 _LEAST_WINDOW = 0.6  # radius over the width of a particle: the footprint of a splat
 STEEPEST = 0.25  # Sa over the correlation length: root mean square slope 0.63, time steps of elements decrease to 0.7
-_CELLS_OF_ROUGHNESS = 4.0  # elements in a correlation length
 _CELLS_OF_PORE = 3.0  # spacings in a pore: walls that were closer do not meet (`impact.folding`)
+_CELLS_OF_SHAPE = 4.0  # elements in a correlation length or a groove
+# of a shaped surface: above 70 degrees elements below it become thinner than those of a flat target
+STEEPEST_FLANK = math.radians(65.0)
+_HIGHEST = 0.4  # height or depth over that of the target
 _DEEPEST = 0.05  # Sa over the height of the target: at smaller values the heights of elements change by a fifth at most
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
@@ -61,6 +65,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield from _hardness(where, particle, catalogue.get(particle.material))
         yield from _pores(where, particle, d.spacing)
     yield from _room(d)
+    yield from _surface(d)
     yield from _resolution(d)
     asked = not isinstance(scene.effects, str) and {"gradient_hardening", "+gradient_hardening"} & set(scene.effects)
     if scene.resolution.engine == "machdyn" and asked:
@@ -134,16 +139,6 @@ def _room(d: Derived) -> Iterator[Problem]:
         if extent < least * (1 - 1e-9):
             text = f"too small for {_size(particle)} and its crater; at least {_um(least)} is needed"
             yield _wrong(f"substrate.{name}", extent, "um", text, *_fields(scene, *_EXTENT))
-    if substrate.roughness > 0.0:
-        steepest, coarse = substrate.roughness / STEEPEST, _CELLS_OF_ROUGHNESS * d.element_size
-        if substrate.roughness_length < max(steepest, coarse) * (1 - 1e-9):
-            coarseness = f"not resolved by elements of {_um(d.element_size)}"
-            why = "steeper than a mesh can represent" if steepest > coarse else coarseness
-            text = f"the surface is {why}: give at least {_um(max(steepest, coarse))}, or a lower roughness"
-            yield _wrong("substrate.roughness_length", substrate.roughness_length, "um", text, "substrate.roughness")
-        if substrate.roughness > _DEEPEST * substrate.height:
-            text = f"too rough for a target of {_um(substrate.height)}: give at most a twentieth of its height"
-            yield _wrong("substrate.roughness", substrate.roughness, "um", text, "substrate.height")
     widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
     least = _LEAST_WINDOW * max(widest.diameter, widest.width)
     if substrate.window is not None and substrate.window < least * (1 - 1e-9):
@@ -178,6 +173,60 @@ def _room(d: Derived) -> Iterator[Problem]:
             over = f"the gap of {_um(gap)}, which takes {units.rounded(flight, 'ns')}"
             text = f"shorter than the flight over {over}: {where} would not reach the target; give a longer time or a smaller gap"
             yield _wrong("end.time", limit, "ns", text, f"{where}.gap", f"{where}.velocity", f"{where}.angle")
+
+
+def _surface(d: Derived) -> Iterator[Problem]:
+    """Check that meshes bear the steepness and the heights of the surface, and that elements resolve it."""
+    body, size = d.scene.substrate, d.element_size
+    coarse, coarseness = _CELLS_OF_SHAPE * size, f"not resolved by elements of {_um(size)}"
+    if body.roughness > 0.0:
+        steepest = body.roughness / STEEPEST
+        if body.roughness_length < max(steepest, coarse) * (1 - 1e-9):
+            why = "steeper than a mesh can represent" if steepest > coarse else coarseness
+            text = f"the surface is {why}: give at least {_um(max(steepest, coarse))}, or a lower roughness"
+            yield _wrong("substrate.roughness_length", body.roughness_length, "um", text, "substrate.roughness")
+        if body.roughness > _DEEPEST * body.height:
+            text = f"too rough for a target of {_um(body.height)}: give at most a twentieth of its height"
+            yield _wrong("substrate.roughness", body.roughness, "um", text, "substrate.height")
+    problems = list(_flanks(body, coarse, coarseness))
+    yield from problems
+    if problems:
+        return
+    shapes = [f"substrate.{name}" for name in ("groove", "step", "slope", "height_map") if dict(body)[name] is not None]
+    try:
+        ground = ground_of(body, size)
+    except ColdsprayError as error:
+        yield ("substrate.height_map",), f"substrate.height_map: {error}"
+        return
+    if ground is None:
+        return
+    low, high, slope = ground.extremes(body.diameter, size)
+    if slope > 1.05 * math.tan(STEEPEST_FLANK):  # of the sum; `_flanks` has checked each angle
+        most = f"{math.degrees(STEEPEST_FLANK):.3g} degrees"
+        text = f"the surface is as steep as {math.degrees(math.atan(slope)):.3g} degrees, a mesh can represent {most}: give smaller"
+        yield (*(f"{shape}.angle" for shape in shapes), *shapes), f"{' with '.join(shapes)}: {text} angles or heights"
+    if max(-low, high) > _HIGHEST * body.height:
+        reach = f"the surface reaches from {_um(low)} to {_um(high)}"
+        most = f"at most {_HIGHEST:g} of substrate.height = {text_of(body.height, 'um')} is possible"
+        yield (
+            (*shapes, "substrate.height"),
+            f"{' with '.join(shapes)}: {reach}; {most}: give less, or a higher substrate",
+        )
+
+
+def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:
+    """Check the angle of each straight shape, and the width of a groove. coarse m: least width; coarseness: its reason."""
+    for name, shape in (("groove", body.groove), ("step", body.step), ("slope", body.slope)):
+        if shape is not None and shape.angle > STEEPEST_FLANK * (1 + 1e-9):
+            text = f"steeper than a mesh can represent: give at most {math.degrees(STEEPEST_FLANK):.3g} deg"
+            yield _wrong(f"substrate.{name}.angle", shape.angle, "deg", text)
+    if (groove := body.groove) is not None:
+        flanks = 2.0 * groove.depth / math.tan(groove.angle)
+        if groove.width < max(flanks, coarse) * (1 - 1e-9):
+            angle = f"{math.degrees(groove.angle):.3g} degrees"
+            why = f"its flanks of {angle} need {_um(flanks)}" if flanks > coarse else coarseness
+            text = f"{why}: give at least {_um(max(flanks, coarse))}, or a smaller depth or resolution.element_size"
+            yield _wrong("substrate.groove.width", groove.width, "um", text, "resolution.element_size")
 
 
 def _resolution(d: Derived) -> Iterator[Problem]:

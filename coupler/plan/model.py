@@ -4,6 +4,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
+from ..core.arrays import Floats
+from ..geometry import rough
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
 from ..physics.shapes import Pores
@@ -63,7 +67,8 @@ class ImpactPlan(Landing):
 class TargetPlan:
     """The substrate, a cylinder. Lengths in m, temperature in K. Elements have element_size within refined_radius of the disc of
     radius `spread` about `centre` (x, y). Farther away they grow by `growth` per unit of distance, up to largest_element. sides,
-    bottom: conditions of the faces. roughness: Sa (m), correlation length (m) and seed of the top face, None for a smooth face."""
+    bottom: conditions of the faces. roughness: Sa (m), correlation length (m) and seed of the top face, None for a smooth face;
+    ground: its other heights, None for a flat face."""
 
     material: Material
     diameter: float
@@ -79,6 +84,17 @@ class TargetPlan:
     growth: float
     elements_estimate: int
     roughness: tuple[float, float, int] | None
+    ground: rough.Ground | None = None
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the top face is the plane z = 0."""
+        return self.ground is None and self.roughness is None
+
+    def heights(self, at: Floats) -> Floats:
+        """Heights (k,) m of the top face at points (k,2) m."""
+        z = np.zeros(len(at)) if self.ground is None else self.ground.heights(at)
+        return z if self.roughness is None else z + rough.heights(at, self.diameter, *self.roughness)
 
     def faces(self, condition: Face) -> tuple[str, ...]:
         """Names of the faces of the substrate that have this condition."""

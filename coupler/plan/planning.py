@@ -17,6 +17,7 @@ from . import effects
 from .batches import batches_of
 from .effects import Situation
 from .gas import describe as describe_gas
+from .ground import ground_of
 from .model import ImpactPlan, Plan, SolidPlan, TargetPlan
 from .reading import Scene
 from .refinement import companions
@@ -166,6 +167,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
         base, body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
         COARSEST * min(body.diameter, body.height), d.centre, d.spread, d.refined_radius, scene.resolution.growth, d.elements,
         (body.roughness, body.roughness_length, body.roughness_seed) if body.roughness else None,
+        ground_of(body, d.element_size),
     )  # fmt: skip
 
 

@@ -52,7 +52,8 @@ def read_forms(scene: SceneData) -> list[str]:
 
 def with_folders(raw: dict[str, object], source: str) -> None:
     """Make file names absolute; they are relative to the folder of the scene. raw: the scene as nested dicts, changed in place."""
-    for particle in particle_tables(raw):
-        name = particle.get("file")
-        if isinstance(name, str) and len(name) < 4096 and "\0" not in name:
-            particle["file"] = str((Path(source).parent / name).absolute())
+    substrate = raw.get("substrate")
+    for table in (*particle_tables(raw), substrate.get("height_map") if isinstance(substrate, dict) else None):
+        name = table.get("file") if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(name, str) and len(name) < 4096 and "\0" not in name:
+            table["file"] = str((Path(source).parent / name).absolute())

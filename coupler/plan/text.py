@@ -7,7 +7,7 @@ from textwrap import fill
 from .. import units
 from . import cost as estimates
 from .forecast import forecast
-from .model import ImpactPlan, Plan
+from .model import ImpactPlan, Plan, TargetPlan
 from .remarks import BEYOND_FIT
 
 _MOST_LINES = 12  # about impacts
@@ -35,7 +35,8 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}"
-        + (", rough: Sa {}".format(show(target.roughness[0], "um")) if target.roughness else ""),
+        + (", rough: Sa {}".format(show(target.roughness[0], "um")) if target.roughness else "")
+        + _heights(target),
         *_strength(plan, brief),
         f"  friction   {plan.friction:g}",
         *_splats(plan),
@@ -65,6 +66,14 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),
     ]
     return "\n".join([*lines, *(["", *notes] if notes else [])])
+
+
+def _heights(target: TargetPlan) -> str:
+    """Range of the heights of a shaped surface; "" for all others."""
+    if target.ground is None:
+        return ""
+    low, high, _ = target.ground.extremes(target.diameter, target.element_size)
+    return f", heights {low * 1e6:.3g} to {high * 1e6:.3g} um"
 
 
 def _strength(plan: Plan, brief: bool) -> list[str]:

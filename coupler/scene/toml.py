@@ -163,6 +163,8 @@ def _written(table: Section, field: str, value: Any) -> str:
     if by_size is not None:
         pairs = [[units.show(size, "um"), units.show(number, by_size.of.unit)] for size, number in value]
         return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
+    if isinstance(value, Section):
+        return _inline(value)
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
     if field in ("pair", "powder"):

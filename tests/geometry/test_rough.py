@@ -1,14 +1,19 @@
 """Rough ground: mean, Sa and correlation of the heights, and the mesh below."""
 
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from coupler import Scene
 from coupler.errors import SceneError
 from coupler.fe.mesh import prepare
 from coupler.geometry.mesher import cylinder
-from coupler.geometry.rough import heights, roughened
-from coupler.geometry.tetrahedra import volumes
+from coupler.geometry.rough import Ground, heights
+from coupler.plan.planning import plan
 
 D, SA, LENGTH = 400e-6, 3e-6, 20e-6
 
@@ -45,17 +50,30 @@ def test_a_seed_is_one_surface_and_another_seed_another() -> None:
     assert abs(np.corrcoef(once, other)[0, 1]) < 0.3
 
 
-def test_the_mesh_follows_the_surface_and_keeps_its_bottom_and_its_sides() -> None:
-    """Every element keeps a positive volume; facets are told by where they look, as those of a rough top lie at many heights."""
-    points, tets = cylinder(100e-6, 60e-6, 4e-6, 20e-6, 0.35)
-    moved = roughened(points, 60e-6, 100e-6, 2e-6, 16e-6, 1)
-    flat, rough = prepare(points, tets), prepare(moved, tets)
-    assert (volumes(rough.points, rough.conn) > 0.0).all()
-    assert {name: len(ids) for name, ids in rough.sets.items()} == {name: len(ids) for name, ids in flat.sets.items()}
-    top = np.unique(rough.facets[rough.sets["top"]])
-    at = rough.points[top]
-    np.testing.assert_allclose(at[:, 2], heights(at[:, :2], 100e-6, 2e-6, 16e-6, 1), atol=1e-12)
-    np.testing.assert_allclose(rough.points[np.unique(rough.facets[rough.sets["bottom"]]), 2], -60e-6, atol=1e-12)
+def field(at: np.ndarray) -> np.ndarray:
+    return heights(at, 100e-6, 2e-6, 12e-6, 3)
+
+
+#: a groove, a step and a slope in one, of 60 degrees where it is steepest
+SHAPED = Ground((
+    (0.3, ((-14e-6, 0.0), (-7.07e-6, -12e-6), (7.07e-6, -12e-6), (14e-6, 0.0))),
+    (2.0, ((-6e-6, 0.0), (6e-6, 6e-6))), (-1.0, ((-1e-4, -1e-5), (1e-4, 1e-5))),
+)).heights  # fmt: skip
+
+
+@pytest.mark.parametrize("top", [field, SHAPED], ids=["rough", "shaped"])
+def test_the_mesh_follows_the_surface_and_keeps_its_bottom_and_its_sides(
+    top: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    """Facets are told by where they look, as those of a shaped top lie at many heights. Elements are as thick as in a flat target: a
+    displaced flat mesh has inverted ones below corners of the surface."""
+    points, tets = cylinder(100e-6, 60e-6, 3e-6, 15e-6, 0.35)
+    flat, shaped = prepare(points, tets), prepare(*cylinder(100e-6, 60e-6, 3e-6, 15e-6, 0.35, top=top))
+    assert shaped.V0.min() ** (1 / 3) > 0.5 * flat.V0.min() ** (1 / 3)
+    assert {name: len(ids) for name, ids in shaped.sets.items()} == {name: len(ids) for name, ids in flat.sets.items()}
+    at = shaped.points[np.unique(shaped.facets[shaped.sets["top"]])]
+    np.testing.assert_allclose(at[:, 2], top(at[:, :2]), atol=1e-12)
+    np.testing.assert_allclose(shaped.points[np.unique(shaped.facets[shaped.sets["bottom"]]), 2], -60e-6, atol=1e-12)
 
 
 GROUND = """
@@ -88,3 +106,71 @@ def test_ground_that_meshes_do_not_bear_is_refused_by_its_key(before: str, after
     with pytest.raises(SceneError) as error:
         Scene.from_text(GROUND.replace(before, after))
     assert says in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("shape", "says"),
+    [
+        ('groove = { width = "30 um", depth = "10 um", angle = "70 deg" }', 'groove.angle = "70 deg": steeper than a mesh can'),
+        ('groove = { width = "30 um", depth = "20 um" }', 'groove.width = "30 um": its flanks of 45 degrees need 40 um'),
+        ('groove = { width = "10 um", depth = "2 um" }', 'groove.width = "10 um": not resolved by elements of 3.4 um'),
+        ('groove = { width = "100 um", depth = "40 um" }', "at most 0.4 of substrate.height"),
+        ('groove = { width = "100 um" }', "substrate.groove.depth: missing"),
+        ('groove = "deep"', "expected a table [substrate.groove]"),
+        ('step = { height = "10 um", angle = "65 deg" }\nslope = { angle = "15 deg" }', "substrate.step with substrate.slope"),
+        ('slope = { angle = "30 deg" }', "substrate.slope: the surface reaches from"),
+        ('height_map = { file = "none.csv" }', "none.csv is missing"),
+        ('height_map = { file = "words.csv" }', "values that are not numbers"),
+        ('height_map = { file = "small.csv", unit = "0.5 um" }', "the substrate has a radius of 100 um"),
+        ('height_map = { file = "grey.png", unit = "3 um" }', 'give height = "10 um", the height of white over black'),
+        ('height_map = { file = "grey.png", unit = "3 um", height = "500 um" }', "substrate.height_map: the surface reaches from"),
+    ],
+)  # fmt: skip
+def test_a_shape_that_meshes_do_not_bear_is_refused_by_its_key(shape: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "words.csv").write_text("one,two,three\nfour,five,six\n")
+    grid = np.stack(np.meshgrid(np.arange(-60.0, 61.0, 5.0), np.arange(-60.0, 61.0, 5.0)), axis=-1).reshape(-1, 2)
+    np.savetxt(tmp_path / "small.csv", np.column_stack([grid, 0.0 * grid[:, 0]]), delimiter=",")
+    Image.fromarray(np.tile(np.arange(80, dtype=np.uint8), (80, 1))).save(tmp_path / "grey.png")
+    text = GROUND.replace('roughness = "3 um"\nroughness_length = "20 um"', shape)
+    with pytest.raises(SceneError) as error:
+        Scene.from_text(text, str(tmp_path / "scene.toml"))
+    assert says in str(error.value)
+
+
+def test_a_map_is_the_same_surface_from_every_kind_of_file(tmp_path: Path) -> None:
+    """A matrix, columns x, y, z, grey images of 8, 16 and 32 bits, an open patch: each has the waves that were written, with the y axis
+    upwards, to the resolution of 8 bits and the average over an element (0.1 um of 3)."""
+    n, pitch = 115, 2.0
+    axis = pitch * (np.arange(n) - (n - 1) / 2)
+    x, y = np.meshgrid(axis, axis)
+    z = 2.0 * np.sin(x / 20.0) + np.sin(y / 25.0)
+    flat, low, high = np.column_stack([x.ravel(), y.ravel(), z.ravel()]), z.min(), z.max()
+    np.savetxt(tmp_path / "xyz.csv", flat, delimiter=",", header="x [um],y [um],z [um]", comments="")
+    (tmp_path / "matrix.csv").write_text(
+        "\n".join(";".join(f"{v:.5f}" for v in row) for row in z[::-1]).replace(".", ",")
+    )
+    grey = (z[::-1] - low) / (high - low)
+    Image.fromarray((255 * grey).astype(np.uint8)).save(tmp_path / "8.png")
+    Image.fromarray((65535 * grey).astype(np.uint16)).save(tmp_path / "16.png")
+    Image.fromarray(z[::-1].astype(np.float32)).save(tmp_path / "32.tif")
+    corner = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    with open(tmp_path / "patch.stl", "wb") as stl:
+        stl.write(bytes(80) + struct.pack("<I", len(triangles)))
+        stl.write(b"".join(struct.pack("<12fH", 0, 0, 0, *flat[each].ravel(), 0) for each in triangles))
+    depth = f"{high - low:.6g} um"
+    numbers, grey_values = ', unit = "2 um", height = "1 um"', f', unit = "2 um", height = "{depth}"'
+    files = {"xyz.csv": "", "patch.stl": ""} | dict.fromkeys(("matrix.csv", "32.tif"), numbers)
+    files |= dict.fromkeys(("8.png", "16.png"), grey_values)
+    places = np.array([[30e-6, 40e-6], [-31e-6, 5e-6], [3e-6, -44e-6]])
+    written = 2.0 * np.sin(places[:, 0] / 20e-6) + np.sin(places[:, 1] / 25e-6)
+    for name, more in files.items():
+        text = GROUND.replace(
+            'roughness = "3 um"\nroughness_length = "20 um"', f'height_map = {{ file = "{name}"{more} }}'
+        )
+        scene = Scene.from_text(text, str(tmp_path / "scene.toml"))
+        ground = plan(scene).target.ground
+        assert ground is not None
+        assert np.abs(ground.heights(places) * 1e6 - written).max() < 0.1, name
+        assert Scene.from_text(scene.to_toml(), str(tmp_path / "scene.toml")) == scene
