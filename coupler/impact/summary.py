@@ -52,9 +52,20 @@ def summarise(
     undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
+    ground, sunk = recorder.plan.target.material, None
+    if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
+        sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     own = {
         **verdict_values(
-            recorder.plan.adhesion, recorder.impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken
+            recorder.plan.adhesion,
+            recorder.impact_plan,
+            mass,
+            upwards,
+            impact.bonds,
+            is_lost,
+            ending.is_held,
+            broken,
+            sunk,
         ),
         **_computed(impact, recorder),
         "wall_s": wall,

@@ -53,10 +53,12 @@ class Verdict:
 
 
 def judge(
-    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_held: bool = False
-) -> Verdict:
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_held: bool = False,
+    sunk: float | None = None,
+) -> Verdict:  # fmt: skip
     """The verdict on a particle at the end of its impact. mass (kg); upwards (m/s): velocity of its centre normal to the surface;
-    bonds: bonds of the particle, None if nothing bonded; is_held: whether the particle is still in contact, for a ceramic."""
+    bonds: bonds of the particle, None if nothing bonded; is_held: whether the particle is still in contact, for a ceramic;
+    sunk (m): depth of its centre in a polymer, None on a metal."""
     if not impact.can_bond:
         if impact.material.is_ceramic and (is_held or upwards <= REBOUND):
             return Verdict(EMBEDDED, "it stays in its crater without a bond", BY_MOTION, rebounded=False)
@@ -73,7 +75,17 @@ def judge(
     if law.kind == "tied":
         words = "the scene, which ties all particles that touch the target; bonds are not computed"
         return Verdict(STICKS, words, BY_SCENE, rebounded=False)
-    return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
+    if sunk is None:
+        return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
+    base = f"{impact.formula.base}, a polymer"
+    if sunk > 0.0 and upwards <= REBOUND:
+        words = (
+            f"it is embedded in {base}: its centre lies {sunk * 1e6:.3g} um below the surface, and it does not move off"
+        )
+        return Verdict(EMBEDDED, words, BY_MOTION, rebounded=False)
+    return _unheld(
+        f"no bond of metals forms on {base}, which can erode: the run does not show erosion", BY_MOTION, mass, upwards
+    )
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
@@ -146,19 +158,19 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 def verdict_values(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False,
-    is_held: bool = False, broken: str = "",
+    is_held: bool = False, broken: str = "", sunk: float | None = None,
 ) -> Values:  # fmt: skip
     """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held: as in `judge`; broken: why a ceramic
-    particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s: velocity of the
-    centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after the impact
-    divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was computed;
-    verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of it that
-    still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held, sunk: as in `judge`; broken: why a
+    ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s:
+    velocity of the centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target
+    after the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was
+    computed; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of
+    it that still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
-    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held)
+    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held, sunk)
     if broken:
         decided = Verdict(BROKEN, broken, BY_STRESS, rebounded=True)
     left, is_whole = decided.rebounded, decided.verdict != BROKEN

@@ -149,6 +149,8 @@ def oxide_film(first: Material, second: Material) -> tuple[float, float]:
     if first.is_ceramic or second.is_ceramic:
         return NEVER, 0.0
     for metal in (first, second):
+        if metal.is_polymer:
+            raise ColdsprayError(f"{metal.name} is a polymer: it has no oxide film, and no bond of metals forms on it")
         if None in (metal.oxide_thickness, metal.oxide_strength, metal.oxide_threshold):
             raise ColdsprayError(
                 f"{metal.name} has no oxide film: give oxide_thickness, oxide_strength and oxide_threshold under"

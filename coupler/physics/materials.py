@@ -47,7 +47,8 @@ class Material:
     surface exposure at which it cracks (`physics.adhesion`). burgers: Burgers vector. taylor_alpha: coefficient of Taylor's relation
     at 1e12 dislocations per m2; 0: gradients of plastic strain do not harden the metal (`forest`). D_v, Q_v: factor and activation
     energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: factor and activation energy of diffusion along dislocations; the
-    factor is multiplied by the area of a dislocation core (`physics.recovery`).
+    factor is multiplied by the area of a dislocation core (`physics.recovery`). T_g: glass transition temperature of a polymer; None
+    for a metal.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Material:
     Q_v: Annotated[float | None, Number("kJ/mol", 1e4, 1e6)] = None
     D_c: Annotated[float | None, Number("m^4/s", 1e-30, 1e-18)] = None
     Q_c: Annotated[float | None, Number("kJ/mol", 1e4, 1e6)] = None
+    T_g: Annotated[float | None, Number("K", 100.0, 1000.0)] = None
     source: str = ""
     note: str = ""
     strength: Strength
@@ -113,6 +115,11 @@ class Material:
     def is_ceramic(self) -> bool:
         """Whether the material is brittle and makes no metallic bonds."""
         return self.kind == "ceramic"
+
+    @property
+    def is_polymer(self) -> bool:
+        """Whether it is a polymer, on which no bonds of metals form."""
+        return self.T_g is not None
 
     @property
     def wave_speed(self) -> float:

@@ -286,10 +286,13 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     scene = d.scene
     known = [catalogue[name] for name in dict.fromkeys(p.material for p in scene.particles) if name in catalogue]
     without = ", ".join(metal.name for metal in known if metal.sigma_TS is None and not metal.is_ceramic)
-    if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1 and without:
+    if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1 and (without or d.is_on_polymer):
+        why = f"the critical velocity of {without} is not known (no sigma_TS)"
+        if d.is_on_polymer:
+            why = f"no bond of metals forms on {scene.substrate.material}, a polymer"
         yield (
             ("adhesion.kind", "particle"),
-            f"adhesion: several particles need a law of adhesion, and the critical velocity of {without} is not known (no sigma_TS):"
+            f"adhesion: several particles need a law of adhesion, and {why}:"
             ' give kind = "cohesive" with strength and energy, "tied", or "none" for no adhesion',
         )
     for pair in law.pairs:

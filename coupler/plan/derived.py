@@ -103,8 +103,15 @@ class Derived:
             found = [self._catalogue[0].get(p.material) for p in self.scene.particles]
             metals = [metal for metal in found if metal is None or not metal.is_ceramic]
             known = bool(metals) and all(metal is None or metal.sigma_TS is not None for metal in metals)
+            known = known and not self.is_on_polymer
             table |= {"kind": "tied", "criterion": "velocity"} if known else {"kind": "none"}
         return Adhesion(**table | {"kind": table["kind"] or "tied", "criterion": table["criterion"] or "all"})
+
+    @property
+    def is_on_polymer(self) -> bool:
+        """Whether the substrate is a polymer."""
+        ground = self._catalogue[0].get(self.scene.substrate.material)
+        return ground is not None and ground.is_polymer
 
     def gap_of(self, particle: Particle) -> float:
         """Initial distance of a particle's lowest point from the surface under it, m; by default half a spacing."""

@@ -69,8 +69,12 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
             f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"
             " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens"
         )
+    if base.is_polymer:
+        warnings.append(
+            f"no bond of metals forms on {base.name}, a polymer: the particle stays only if the polymer holds it"
+        )
     without = [i.material.name for i in impacts if i.material.sigma_TS is None and not i.material.is_ceramic]
-    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without:
+    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without and not base.is_polymer:
         name = without[0]
         warnings.append(
             f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; give sigma_TS under"

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ from runs import SharedRuns
 from scenes import SHORT, TINY, scene, scene_with, several
 from sheet import ENERGY, SIDE, Sheet
 
+from coupler import Scene
 from coupler.contact.particle_bonds import ParticleBonds
+from coupler.errors import SceneError
 from coupler.impact.verdict import Verdict, judge
-from coupler.physics.adhesion import Adhesion, critical_velocity
+from coupler.physics.adhesion import Adhesion, PairFormula, critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.report.screen import screen
@@ -237,3 +240,24 @@ def test_the_verdict_stands_first_and_what_does_not_rebound_has_no_rebound_veloc
         assert last[key] is None
         assert last["refused"][key] == last["verdict_rests_on"] == "the particle is still in contact"
     assert re.search(r"rebound velocity +- ", screen(sinking)), screen(sinking)
+
+
+def test_on_a_polymer_a_particle_stays_where_the_polymer_holds_it() -> None:
+    """No bonds of metals form there: at rest with its centre below the surface it is embedded; what moves off rebounds, and what lies
+    on the surface is undecided."""
+    no_bonds, on_peek = Adhesion(kind="none"), replace(IMPACT, formula=PairFormula("Al", 600.0, "PEEK"))
+    embedded = judge(no_bonds, on_peek, MASS, 0.1, None, sunk=3e-6)
+    assert (embedded.verdict, embedded.rebounded) == ("embedded", False)
+    assert "embedded in PEEK, a polymer: its centre lies 3 um below the surface" in embedded.rests_on
+    assert judge(no_bonds, on_peek, MASS, 0.1, None, sunk=-3e-6).verdict == "undecided"
+    left = judge(no_bonds, on_peek, MASS, 20.0, None, sunk=3e-6)
+    assert left.verdict == "rebounds"
+    assert "the run does not show erosion" in left.rests_on
+
+
+def test_bonds_of_metals_do_not_apply_on_a_polymer() -> None:
+    """By default there are none, and those by oxide films are refused with the reason."""
+    text = SHORT.replace('"SS304"', '"PEEK"')
+    assert Scene.from_text(text).derived.adhesion_law.kind == "none"
+    with pytest.raises(SceneError, match="PEEK is a polymer: it has no oxide film"):
+        Scene.from_text(text + '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\n')
