@@ -59,7 +59,7 @@ def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any
 
 
 def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
-    """Keys of a shaped surface, in a fifth of the scenes. diameter, spacing: of the particle and its points, um."""
+    """Keys of a shaped or layered substrate, in a fourth of the scenes. diameter, spacing: of the particle and its points, um."""
     angle, depth = dice.uniform(20.0, 65.0), diameter * log_between(dice, 0.05, 0.8)
     across = {"angle": f"{angle:.4g} deg", "direction": f"{dice.uniform(-180.0, 180.0):.4g} deg"}
     width = max(7.0 * spacing, 2.0 * depth / math.tan(math.radians(angle))) * dice.uniform(0.95, 2.0)
@@ -68,7 +68,14 @@ def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any
         "step": {"height": f"{max(depth, 0.1):.4g} um"} | across,
         "slope": across | {"angle": f"{dice.uniform(1.0, 30.0):.4g} deg"},
     }
-    return {name: kinds[name] for name in kinds if dice.random() < 0.07}
+    said: dict[str, Any] = {name: kinds[name] for name in kinds if dice.random() < 0.07}
+    if not said and dice.random() < 0.1:
+        thick = diameter * log_between(dice, 0.1, 0.8)
+        layers = [
+            {"material": dice.choice(MATERIALS), "thickness": f"{max(thick, 1.65 * spacing):.4g} um"} for _ in range(2)
+        ]
+        said = {"layer": layers[: dice.choice((1, 2))]}
+    return said
 
 
 def flight_time(table: dict[str, Any], spacing: float) -> float:

@@ -84,8 +84,8 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
             recover(plan.cooling_time / STEPS_OF_RECOVERY)
         t.elements.T[:] = hot
     _balance(bodies, kinetic_0, np.inf, known)
-    came = [(plan.target.material, plan.target.temperature)]
-    came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
+    came = [(metal, plan.target.temperature) for metal in plan.target.materials]
+    came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[len(came) :]]
     before = {
         "T_max_before_K": float(t.elements.T.max()),
         "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
@@ -135,7 +135,8 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
     if not plan.effects.recovery:
         return lambda _: None
     t = bodies.target
-    metals = [plan.target.material, *(plan.impacts[i - 1].material for i in bodies.impact[1:])]
+    metals = [*plan.target.materials]
+    metals += [plan.impacts[i - 1].material for i in bodies.impact[len(metals) :]]
     laws = [recovery_of(metal) for metal in metals]
     known = {law: np.isin(t.law_of, [k for k, own in enumerate(laws) if own is law]) for law in laws if law is not None}
 

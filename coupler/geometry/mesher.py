@@ -57,11 +57,11 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
 def cylinder(
     diameter: float, height: float, size: float, refined_radius: float, growth: float, centre: tuple[float, float] = (0.0, 0.0),
     sizes_to: float | None = None, sector: float = 2.0 * math.pi, spread: float = 0.0,
-    top: Callable[[np.ndarray], np.ndarray] | None = None,
+    top: Callable[[np.ndarray], np.ndarray] | None = None, below: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
+    """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = -below, axis z; lengths in m.
 
-    Element edges are `size` within refined_radius of a disc on the top face, whose radius is `spread` and whose centre is `centre`.
+    Element edges are `size` within refined_radius of a disc on z = 0, whose radius is `spread` and whose centre is `centre`.
     Outside they grow by `growth` per unit of distance up to sizes_to (default: a sixth of the smaller dimension). sector: angle, rad,
     of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0. top: heights (k,) m of
     the top face at points (k,2) m, instead of 0: the surface of the flat cylinder is displaced along z, and filled again.
@@ -82,7 +82,9 @@ def cylinder(
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
     def model(gmsh: ModuleType) -> None:
-        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
+        gmsh.model.occ.addCylinder(
+            0, 0, -(height + below) / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector
+        )
         gmsh.model.occ.synchronize()
         sized(gmsh)
 

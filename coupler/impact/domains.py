@@ -9,22 +9,28 @@ import numpy as np
 
 from ..contact.contact import Contact
 from ..contact.law import stiffness
+from ..core.records import new_rows
 from ..fe.boundary import HALF_SPACE
 from ..fe.explicit import Target
-from ..fe.mesh import prepare
+from ..fe.mesh import name_sides, prepare
 from ..geometry import mesher
 from ..geometry.apart import apart
+from ..geometry.tetrahedra import volumes
 from ..particle import shapes
 from ..particle.carried_surface import CarriedSurface
 from ..particle.engine import engine
 from ..particle.heat import PointConduction
 from ..particle.inertia import ENOUGH
 from ..particle.particle import Numerics, Particle
+from ..physics.adhesion import Adhesion
 from ..physics.constitutive import law_record
+from ..physics.metal import MetalState
+from ..plan.model import TargetPlan
 from ..plan.planning import Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
 from ..target.bodies import Bodies, BodiesState
+from ..target.domain import BodyState, domain_now
 from ..target.positions import level_under
 from .folding import SHAPES, Folding
 from .heat import HeatPaths
@@ -61,11 +67,12 @@ class Domains:
 
 
 def build_target(plan: Plan) -> Bodies:
-    """Make the mesh of the substrate, which is the target of the first impact. Starts gmsh."""
+    """The meshed substrate, which is the target of the first impact: its layers are bodies, tied like splats. Starts gmsh."""
     t = plan.target
-    sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
+    below = sum(thickness for _, thickness in t.layers)
+    sizes = t.diameter, t.height - below, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
     top = None if t.is_flat else t.heights
-    points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread, top=top), MESHING_LIMIT)
+    points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread, top=top, below=below), MESHING_LIMIT)
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
     at = plan.impacts[0].offset
@@ -74,7 +81,43 @@ def build_target(plan: Plan) -> Bodies:
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
         mesh = replace(mesh, axis=np.array(t.centre))
     target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
-    return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
+    for metal, thickness in reversed(t.layers):
+        below -= thickness
+        disc = partial(mesher.cylinder, t.diameter, thickness, *sizes[2:], spread=t.spread, below=max(below, 0.0))
+        layer = _layer(
+            *apart(disc, MESHING_LIMIT), law_record(metal, plan.effects.switches, plan.impacts[0].rate_filter), t
+        )
+        bodies = bodies.joined([layer], Adhesion(kind="tied"), t.element_size, (*at, 0.0), None, 0)
+    return _with_faces(bodies, cut) if t.layers else bodies
+
+
+def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan) -> BodyState:
+    """A layer at rest without stress, of points (n,3) m and tetrahedra (m,4). law: LAW record."""
+    m = len(tets)
+    at_rest = {
+        "stress": np.zeros((m, 6)),
+        "J": np.ones(m),
+        "velocity": np.zeros_like(points),
+        "energy": np.zeros(len(points)),
+    }
+    state = vars(new_rows(MetalState, m, T=np.full(m, t.temperature)))
+    mass = float(law["rho"][0]) * float(np.abs(volumes(points, tets)).sum())
+    return BodyState(points=points, tets=tets, mass=mass, law=law, **at_rest, **state)
+
+
+def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
+    """A layered substrate with its faces: the top of the uppermost layer, the sides of all, the bottom of the lowest. half_space: those
+    that belong to a half-space."""
+    domain = domain_now(bodies.target, bodies.body)
+    mesh, of_facet = domain.mesh, bodies.body[domain.mesh.facet_element]
+    sets = name_sides(mesh.points, mesh.facets)
+    for name, body in (("top", bodies.count - 1), ("bottom", 0)):
+        sets[name] = sets[name][of_facet[sets[name]] == body]
+    if half_space:
+        sets[HALF_SPACE] = np.concatenate([sets[name] for name in half_space])
+    rank = np.arange(len(mesh.points))
+    return bodies.with_domain(replace(domain, mesh=replace(mesh, sets=sets)), rank, bodies.buried)
 
 
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
@@ -116,7 +159,7 @@ def build_domains(
     softer = min(impact_plan.material.K, float(bodies.target.laws["K"].min()))
     k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
     points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
-    own, other = impact_plan.material.effusivity(impact_plan.temperature), t.material.effusivity(t.temperature)
+    own, other = impact_plan.material.effusivity(impact_plan.temperature), t.materials[-1].effusivity(t.temperature)
     share = own / (own + other)  # share of the heat of friction, as for two half-spaces in contact
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
     on, inside = plan.effects, None

@@ -253,7 +253,7 @@ class Impact(Course):
     def _metals(self, plan: Plan) -> list[Material]:
         """The metals of the target, one for each of its laws."""
         metals = [plan.target.material] * len(self.target.laws)
-        for metal in (*(impact.material for impact in plan.impacts), plan.target.material):
+        for metal in (*(impact.material for impact in plan.impacts), *plan.target.materials):
             for i in np.flatnonzero(is_metal(self.target.laws, metal)):
                 metals[i] = metal
         return metals

@@ -52,7 +52,7 @@ def summarise(
     undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
-    ground, sunk = recorder.plan.target.material, None
+    ground, sunk = recorder.plan.target.materials[-1], None
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     own = {
@@ -150,7 +150,7 @@ def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") 
 def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     """Warnings about limits of models that the impact has exceeded, and about rims that the particle has reached."""
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
-    metals = {"particle": impact_plan.material, "target": plan.target.material}
+    metals = {"particle": impact_plan.material, "target": plan.target.materials[-1]}
     beyond = recorder.seen.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
     if impact.folding is not None:
         share = share_inside_itself(impact.folding.surface, impact.particle.x)

@@ -43,6 +43,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     broken: names materials.NAME of tables with errors."""
     d = Derived(scene)
     bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
+    layers = [(f"substrate.layer[{k}]", layer) for k, layer in enumerate(scene.substrate.layer, 1)]
+    bodies += [(where, scene.substrate.model_copy(update={"material": layer.material})) for where, layer in layers]
     bodies[:0] = zip(scene.labels, scene.particles, strict=True)
     for where, body in bodies:
         material = catalogue.get(body.material)
@@ -66,6 +68,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield from _pores(where, particle, d.spacing)
     yield from _room(d)
     yield from _surface(d)
+    yield from _layers(d)
     yield from _resolution(d)
     asked = not isinstance(scene.effects, str) and {"gradient_hardening", "+gradient_hardening"} & set(scene.effects)
     if scene.resolution.engine == "machdyn" and asked:
@@ -214,6 +217,25 @@ def _surface(d: Derived) -> Iterator[Problem]:
         )
 
 
+def _layers(d: Derived) -> Iterator[Problem]:
+    """Check that elements fit into each layer and into the substrate below, and that the layers are flat."""
+    body, size = d.scene.substrate, d.element_size
+    for k, layer in enumerate(body.layer, 1):
+        if layer.thickness < size * (1 - 1e-9):
+            text = f"thinner than an element: give at least {_um(size)}, or a smaller resolution.element_size"
+            yield _wrong(f"substrate.layer[{k}].thickness", layer.thickness, "um", text, "resolution.element_size")
+    thick = sum(layer.thickness for layer in body.layer)
+    if body.layer and body.height - thick < size:
+        text = f"its layers take {_um(thick)}: at least an element, {_um(size)}, is needed below them"
+        yield _wrong("substrate.height", body.height, "um", text, "substrate.layer")
+    shaped = [name for name in ("roughness", "groove", "step", "slope", "height_map") if dict(body)[name]]
+    if body.layer and shaped:
+        yield (
+            ("substrate.layer", f"substrate.{shaped[0]}"),
+            f"substrate.{shaped[0]}: layers are flat: remove one of both",
+        )
+
+
 def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:
     """Check the angle of each straight shape, and the width of a groove. coarse m: least width; coarseness: its reason."""
     for name, shape in (("groove", body.groove), ("step", body.step), ("slope", body.slope)):
@@ -289,7 +311,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1 and (without or d.is_on_polymer):
         why = f"the critical velocity of {without} is not known (no sigma_TS)"
         if d.is_on_polymer:
-            why = f"no bond of metals forms on {scene.substrate.material}, a polymer"
+            why = f"no bond of metals forms on {scene.substrate.materials[0]}, a polymer"
         yield (
             ("adhesion.kind", "particle"),
             f"adhesion: several particles need a law of adhesion, and {why}:"
@@ -301,7 +323,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     for each in (law, *(law.between(*pair.metals) for pair in law.pairs)):
         yield from _bond_energy(d, each, catalogue)
     if law.criterion == "exposure":
-        for name in sorted({scene.substrate.material, *(p.material for p in scene.particles)} & set(catalogue)):
+        for name in sorted({*scene.substrate.materials, *(p.material for p in scene.particles)} & set(catalogue)):
             try:
                 oxide_film(catalogue[name], catalogue[name])
             except ColdsprayError as error:
@@ -319,7 +341,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
 
 def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
     """Check that the fracture energy of a bond is at least the energy of its spring at the strength (`contact.bond.Bond`)."""
-    names = [d.scene.substrate.material, *(particle.material for particle in d.scene.particles)]
+    names = [*d.scene.substrate.materials, *(particle.material for particle in d.scene.particles)]
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:
         return

@@ -9,7 +9,7 @@ from ..physics import materials
 from ..physics.adhesion import Adhesion, PairBond
 from ..physics.materials import Material
 from ..scene.model import SceneData
-from ..scene.tables import Particle, Spray, Substrate
+from ..scene.tables import Particle, Spray
 from . import cost as estimates
 
 _OUTPUTS_PER_CROSSING = 25.0  # written steps in the time D / v of an impact, at most ...
@@ -110,7 +110,7 @@ class Derived:
     @property
     def is_on_polymer(self) -> bool:
         """Whether the substrate is a polymer."""
-        ground = self._catalogue[0].get(self.scene.substrate.material)
+        ground = self._catalogue[0].get(self.scene.substrate.materials[0])
         return ground is not None and ground.is_polymer
 
     def gap_of(self, particle: Particle) -> float:
@@ -152,8 +152,8 @@ class Derived:
     def _underneath(self) -> list[tuple[str, float]]:
         """The materials that a particle may hit, each with the highest temperature (K) of its bodies. At this temperature the
         material is softest."""
-        hottest: dict[str, float] = {}
-        bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
+        hottest = dict.fromkeys(self.scene.substrate.materials, self.scene.substrate.temperature)
+        bodies = self.scene.particles[:-1]
         for body in bodies:
             hottest[body.material] = max(body.temperature, hottest.get(body.material, 0.0))
         return list(hottest.items())
@@ -194,7 +194,7 @@ class Derived:
 
     @cached_property
     def _catalogue(self) -> tuple[dict[str, Material], list[str]]:
-        used = {self.scene.substrate.material, *(particle.material for particle in self.scene.particles)}
+        used = {*self.scene.substrate.materials, *(particle.material for particle in self.scene.particles)}
         return materials.from_scene(self.scene.materials, self.scene.strength or "", used)
 
     def material(self, name: str) -> Material:

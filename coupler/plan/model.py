@@ -68,7 +68,8 @@ class TargetPlan:
     """The substrate, a cylinder. Lengths in m, temperature in K. Elements have element_size within refined_radius of the disc of
     radius `spread` about `centre` (x, y). Farther away they grow by `growth` per unit of distance, up to largest_element. sides,
     bottom: conditions of the faces. roughness: Sa (m), correlation length (m) and seed of the top face, None for a smooth face;
-    ground: its other heights, None for a flat face."""
+    ground: its other heights, None for a flat face. layers: on `material`, the uppermost first: metal and thickness (m), within
+    height."""
 
     material: Material
     diameter: float
@@ -85,6 +86,12 @@ class TargetPlan:
     elements_estimate: int
     roughness: tuple[float, float, int] | None
     ground: rough.Ground | None = None
+    layers: tuple[tuple[Material, float], ...] = ()
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Its metals in the order of their bodies: that of the lowest body, then those of the layers upwards."""
+        return (self.material, *(metal for metal, _ in reversed(self.layers)))
 
     @property
     def is_flat(self) -> bool:

@@ -35,10 +35,10 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     whether coarser runs measure the error. Raises SceneError for an unknown material."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
-    base = scene.derived.material(scene.substrate.material)
+    base = scene.derived.material(scene.substrate.materials[0])
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
-    target = _target(scene, base, decided)
+    target = _target(scene, decided)
     adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
@@ -95,7 +95,7 @@ def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
             return scene.derived.material(earlier.material), earlier.temperature, True
-    return scene.derived.material(scene.substrate.material), scene.substrate.temperature, False
+    return scene.derived.material(scene.substrate.materials[0]), scene.substrate.temperature, False
 
 
 def _impact(scene: Scene, i: int) -> ImpactPlan:
@@ -158,16 +158,17 @@ def _spray(scene: Scene) -> str:
     )
 
 
-def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
+def _target(scene: Scene, decided: Effects) -> TargetPlan:
     d, body, absorbing = scene.derived, scene.substrate, decided.absorbing_boundaries
     # if no wave comes back in time, a simple face gives the same result at lower cost
     sides = body.sides if absorbing or body.sides != "absorbing" else "free"
     bottom = body.bottom if absorbing or body.bottom != "absorbing" else "fixed"
     return TargetPlan(
-        base, body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
+        d.material(body.material), body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
         COARSEST * min(body.diameter, body.height), d.centre, d.spread, d.refined_radius, scene.resolution.growth, d.elements,
         (body.roughness, body.roughness_length, body.roughness_seed) if body.roughness else None,
         ground_of(body, d.element_size),
+        tuple((d.material(layer.material), layer.thickness) for layer in body.layer),
     )  # fmt: skip
 
 

@@ -185,6 +185,9 @@ def _set_defaults(raw: dict[str, object]) -> None:
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
     """The key `strength` of a scene of nested dicts, and the names of the scene's metals."""
     strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), *coating_tables(raw)]
+    substrate = raw.get("substrate")
+    layers = substrate.get("layer") if isinstance(substrate, dict) else None
+    bodies += layers if isinstance(layers, list) else []
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 

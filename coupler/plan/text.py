@@ -36,7 +36,8 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}"
         + (", rough: Sa {}".format(show(target.roughness[0], "um")) if target.roughness else "")
-        + _heights(target),
+        + _heights(target)
+        + "".join(f", {metal.name} {show(thickness, 'um')}" for metal, thickness in target.layers),
         *_strength(plan, brief),
         f"  friction   {plan.friction:g}",
         *_splats(plan),
@@ -78,7 +79,7 @@ def _heights(target: TargetPlan) -> str:
 
 def _strength(plan: Plan, brief: bool) -> list[str]:
     """Lines about the strength set of each metal and the hardness of the powder; without `brief` also about sources."""
-    metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
+    metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), *plan.target.materials)}
     hardened = max(impact.initial_strain for impact in plan.impacts)
     powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "without hardness, as in its set"
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}

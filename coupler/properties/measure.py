@@ -108,8 +108,8 @@ def cold_coating(result: Result) -> tuple[Plan, Splats, list[Material]]:
             f"{result.directory}: cold.vtkhdf does not say which nodes are bonded: run the scene again with this version"
         )
     plan = read_plan(result.directory)
-    own = [plan.impacts[number - 1].material for number in splats.impact[1:]]
-    return plan, splats, [plan.target.material, *own]
+    ground = plan.target.materials
+    return plan, splats, [*ground, *(plan.impacts[number - 1].material for number in splats.impact[len(ground) :])]
 
 
 def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:
@@ -159,10 +159,11 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
 def cut(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
-    """The block between two corners (3,) m. law (n,k): values of the bond of each node; first: number of the first body, 0 to include
-    the substrate. Raises StoreError if the block is too small for its splats."""
-    mesh, own = splats.mesh, splats.body >= first
-    of_splat = np.abs(volumes(mesh.points, mesh.cells[splats.body > 0])).sum() / max(len(splats.impact) - 1, 1)
+    """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
+    if it is too small for its splats."""
+    mesh, impact = splats.mesh, splats.impact[splats.body]
+    own = impact >= first
+    of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)
     held = float(np.prod(high - low) / of_splat)
     if held < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)

@@ -90,9 +90,12 @@ def strengths(
     found = []
     for direction in AXES:
         first = 0 if direction == "adhesion" else 1  # body of the block
-        lowest = float(splats.mesh.points[splats.mesh.cells[splats.body > 0], 2].min()) - 2.0 * splats.element_size
+        lowest = (
+            float(splats.mesh.points[splats.mesh.cells[splats.impact[splats.body] > 0], 2].min())
+            - 2.0 * splats.element_size
+        )
         sample = cut(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
-        own = np.flatnonzero(splats.body >= first)[sample.block.parent]
+        own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
         found += [pull(sample, laws, *state, direction, film) for film in (films if law is not None else (None,))]
     return found

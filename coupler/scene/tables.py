@@ -322,10 +322,17 @@ class HeightMap(Section):
     height: Annotated[float | None, Quantity("um", "0.0001 um", "1 m")] = None
 
 
+class Layer(Section):
+    """A layer on the substrate, bonded to what is below. thickness: m."""
+
+    material: str
+    thickness: _Length
+
+
 class Substrate(Section):
     """The target, a cylinder; its top face is the surface. SI units. window: radius (m) of the computed part around each impact.
     roughness: Sa (m) of the surface; roughness_length (m): its correlation length, at which the correlation is 1/e. The heights of the
-    surface are the sum of roughness, groove, step, slope and height_map."""
+    surface are the sum of roughness, groove, step, slope and height_map. layer: on its metal, the uppermost first, within `height`."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
@@ -341,6 +348,12 @@ class Substrate(Section):
     step: Step | None = None
     slope: Slope | None = None
     height_map: HeightMap | None = None
+    layer: tuple[Layer, ...] = ()
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names of its metals, the uppermost first."""
+        return (*(layer.material for layer in self.layer), self.material)
 
 
 class Contact(Section):

@@ -167,7 +167,7 @@ def _written(table: Section, field: str, value: Any) -> str:
         return _inline(value)
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
-    if field in ("pair", "powder"):
+    if field in ("pair", "powder", "layer"):
         return f"[{', '.join(_inline(row) for row in value)}]"
     quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
     if field in ("offset", "sizes") and isinstance(value, tuple):

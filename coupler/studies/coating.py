@@ -188,7 +188,7 @@ def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | N
     """
     mesh = splats.mesh
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
-    own = (np.hypot(x, y) <= radius) & (splats.body > 0)
+    own = (np.hypot(x, y) <= radius) & (splats.impact[splats.body] > 0)
     if name not in mesh.data or not own.any():
         return 0.0, None
     of_tet = np.abs(volumes(mesh.points, mesh.cells[own]))
@@ -255,7 +255,7 @@ def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
     particle, which consists of points, has no volume here."""
     mesh, stays = splats.mesh, splats.mass * splats.stayed
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
-    own = (np.hypot(x, y) <= radius) & (splats.body > 0)
+    own = (np.hypot(x, y) <= radius) & (splats.impact[splats.body] > 0)
     volume = np.bincount(
         splats.impact[splats.body[own]] - 1, np.abs(volumes(mesh.points, mesh.cells[own])), len(splats.mass)
     )
@@ -316,7 +316,7 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
         for i, axis in enumerate(("xx", "yy", "zz"))
     }  # fmt: skip
     columns |= {name: splats.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
-    columns["coating"] = (splats.body[own] > 0).astype(float)
+    columns["coating"] = (splats.impact[splats.body[own]] > 0).astype(float)
     slot = np.floor(z / step).astype(int)
     rows = []
     for number in np.unique(slot)[::-1]:

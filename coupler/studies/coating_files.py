@@ -71,7 +71,7 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
     """Extent of the picture, um: left, right, bottom, top. It shows `radius` m about the axis, down to below the deepest splat."""
     mesh, across = splats.mesh, radius * MICRO
     is_near = np.hypot(*mesh.points[:, :2].T) < radius
-    of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.body > 0])
+    of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.impact[splats.body] > 0])
     deepest = float(mesh.points[is_near & of_splat, 2].min(initial=0.0)) * MICRO
     top = float(mesh.points[is_near, 2].max(initial=0.0)) * MICRO
     return -across, across, min(-0.35 * across, deepest - 0.15 * across), top + 0.08 * across

@@ -60,7 +60,7 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
     chosen = reach <= radius + rim
     splats = np.zeros(whole.count, bool)
     splats[whole.body[chosen]] = True
-    splats[0] = False
+    splats[whole.impact == 0] = False
     chosen |= splats[whole.body]  # whole splats: the contact stiffness depends on the whole surface
     chosen = _without_pinches(conn, chosen)
     selected = select(domain_now(t, whole.body), chosen)
