@@ -55,18 +55,9 @@ def summarise(
     ground, sunk = recorder.plan.target.materials[-1], None
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
+    law, impact_plan = recorder.plan.adhesion, recorder.impact_plan
     own = {
-        **verdict_values(
-            recorder.plan.adhesion,
-            recorder.impact_plan,
-            mass,
-            upwards,
-            impact.bonds,
-            is_lost,
-            ending.is_held,
-            broken,
-            sunk,
-        ),
+        **verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk),
         **_computed(impact, recorder),
         "wall_s": wall,
         "wall_loop_s": looped,
