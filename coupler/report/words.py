@@ -303,7 +303,7 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Text: sizes, metals, velocities and angles of all particles, and the target. If the plan cannot be read: the name of the
+    """Text: sizes, metals, velocities and angles of all particles, and the metals of the target from the top. If the plan cannot be read: the name of the
     folder."""
     try:
         plan, velocities, angles = result.plan, [], []
@@ -317,7 +317,9 @@ def title(result: Result) -> str:
             f"{span(sizes)} µm {words}" if len(sizes) == 1 else f"{len(sizes)} {words} of {span(sizes)} µm"
             for words, sizes in groups.items()
         )
-        text = f"{bodies} on {plan['target']['material']['name'][:40]} at {span(velocities)} m/s"
+        ground = [*(layer for layer, _ in plan["target"].get("layers", ())), plan["target"]["material"]]
+        on = " / ".join(metal["name"][:40] for metal in ground)
+        text = f"{bodies} on {on} at {span(velocities)} m/s"
         return text + (f" and {span(angles)}°" if span(angles) != "0" else "")
     except (LookupError, TypeError, ValueError, AttributeError, ZeroDivisionError):
         return result.directory.resolve().name

@@ -106,6 +106,9 @@ def test_title_of_an_oblique_impact_and_of_a_strange_plan(folder, tmp_path):
     text = plan_of((copy / "scene.toml").read_text().replace('"500 m/s"', '"500 m/s"\nangle = "30 deg"'))
     (copy / "plan.json").write_text(text)
     assert title(Result(copy)) == "25 µm Ni on SS304 at 500 m/s and 30°"
+    layered = text.replace('"layers": []', '"layers": [[{"name": "Al"}, 6e-6]]')
+    (copy / "plan.json").write_text(layered)
+    assert title(Result(copy)) == "25 µm Ni on Al / SS304 at 500 m/s and 30°"
     # Text of a stranger's plan is shown as it stands: no formulas, no end of it.
     (copy / "plan.json").write_text(text.replace('"Ni"', f'"$\\\\frac{{{"x" * 100}$"'))
     assert "$\\frac{x" in title(Result(copy))
