@@ -25,7 +25,6 @@ from pages import (
     measurements,
     number,
     options,
-    spacing_of,
     study,
     write_parts,
 )
@@ -35,7 +34,6 @@ from coupler.files.result import Result
 from coupler.impact.exchange import Impact
 from coupler.impact.touching import softer_strength
 from coupler.physics.materials import material
-from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.report.picture import blank, save
 from coupler.studies.critical import at_velocity, bracket, point_name, rows_at
 from coupler.studies.table import Row, write_rows
@@ -50,7 +48,6 @@ strength: strength set of the metal; taylor_alpha: of its hardening by gradients
 NI, CU, RATE = "Steinberg_1996", "Preston_2003", "critical_ni_rate"
 FILES = {"Ni": "critical_ni", "OFHC_Cu": "critical_cu", "Al1100": "critical_al"}
 ALPHA = "0.35"  # Taylor's coefficient of the workflows (docs/theory/material.md)
-FINER, FINER_POINTS = "half of fine", 128_000  # half the spacing of `fine`
 # columns of the key: velocities (m/s); the second at several placements (`coupler.studies.critical.at_velocity`), without gradients
 CASES, PLACED_CASES = (
     {tuple(name.split(", ")): velocities for name, velocities in measurements(section, "scenes").items()}
@@ -77,15 +74,10 @@ def scene_of(
         changes["strength"] = strength
     if film != "1":
         changes["oxide_strength"] = f"{float(film) * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
-    lengths = {}
-    if preset == FINER:
-        spacing = spacing_of(FINER_POINTS, D)
-        lengths = {"spacing": f"{spacing:.4g} um", "element_size": f"{ELEMENT_SIZE_OVER_SPACING * spacing:.4g} um"}
     title = "_".join((metal, diameter, temperature, film, strength, alpha, preset))
     return scene.with_(
-        name=title.replace(".", "p").replace(" ", "-"), preset="fine" if preset == FINER else preset,
-        particle={"diameter": f"{D:g} um", "temperature": f"{temperature} K"}, substrate=size,
-        resolution=lengths, materials={metal: changes},
+        name=title.replace(".", "p").replace(" ", "-"), preset=preset,
+        particle={"diameter": f"{D:g} um", "temperature": f"{temperature} K"}, substrate=size, materials={metal: changes},
     )  # fmt: skip
 
 
