@@ -303,8 +303,8 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Text: sizes, metals, velocities and angles of all particles, and the metals of the target from the top. If the plan cannot be read: the name of the
-    folder."""
+    """Text: sizes, metals, velocities and angles of all particles, and the metals of the target from the top. If the plan cannot be
+    read: the name of the folder."""
     try:
         plan, velocities, angles = result.plan, [], []
         groups: dict[str, list[float]] = {}
