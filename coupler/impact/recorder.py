@@ -11,7 +11,7 @@ from ..core.threads import share
 from ..errors import SolverError
 from ..files.store import Store
 from ..geometry.extent import UP, extent
-from ..physics.constitutive import von_mises
+from ..physics.constitutive import is_metal, von_mises
 from ..plan.cost import CHUNK
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -32,9 +32,9 @@ class Recorded:
     """State of a `Recorder`. next_row, next_output (s): times of the next outputs; greatest: measures at the greatest deformation,
     None before it; over_rim: the particle has reached beyond the rim of the substrate and below its surface; at_rim: it has touched
     the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at (m): height of the
-    particle's centre at its last contact, or at the start before the first contact. Of ceramics: tension, base_tension (Pa): greatest
-    tensile principal stress of the particle and of the substrate; broken_share: greatest share of the particle's points above its
-    tensile limit at one time."""
+    particle's centre at its last contact, or at the start before the first contact. Of ceramics: tension (Pa): greatest
+    tensile principal stress of the particle; base_tension: that of the target divided by its tensile limit; broken_share: greatest
+    share of the particle's points above its tensile limit at one time."""
 
     next_row: float = 0.0
     next_output: float = 0.0
@@ -148,9 +148,10 @@ class Recorder:
             at_points = tension(impact.particle.stress())
             self.seen.tension = max(self.seen.tension, float(at_points.max()))
             self.seen.broken_share = max(self.seen.broken_share, float(np.mean(at_points > limit)))
-        if substrate.material.is_ceramic:
-            in_base = tension(target.stress()[target.law_of == 0])
-            self.seen.base_tension = max(self.seen.base_tension, float(in_base.max()))
+        for ceramic in substrate.ceramics:
+            stress = target.stress()[is_metal(target.laws, ceramic)[target.law_of]]
+            ratio = float(tension(stress).max(initial=0.0)) / (ceramic.tensile_limit or np.inf)
+            self.seen.base_tension = max(self.seen.base_tension, ratio)
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
         self.seen.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         facets = impact.contact.touching(len(skin))[1]

@@ -150,10 +150,11 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
                 f"impact {number}: {share:.1%} of the particle's points lie inside another part of it, where shape and strain are"
                 " wrong: try a finer preset"
             )
-    if (limit := plan.target.material.tensile_limit) is not None and recorder.seen.base_tension > limit:
+    if (share := recorder.seen.base_tension) > 1.0:
+        names = ", ".join(ceramic.name for ceramic in plan.target.ceramics)
         beyond.append(
-            f"impact {number}: in the target the tensile stress reached {recorder.seen.base_tension / 1e6:.0f} MPa, but"
-            f" {plan.target.material.name} breaks at {limit / 1e6:.0f} MPa: it cracks, and is computed as if whole"
+            f"impact {number}: in the target the tensile stress reached {share:.2g} times the limit of {names}: it cracks, and is"
+            " computed as if whole"
         )
     if recorder.seen.over_rim:
         beyond.append(

@@ -94,6 +94,11 @@ class TargetPlan:
         return (self.material, *(metal for metal, _ in reversed(self.layers)))
 
     @property
+    def ceramics(self) -> tuple[Material, ...]:
+        """Those of its metals that are ceramics."""
+        return tuple(metal for metal in self.materials if metal.is_ceramic)
+
+    @property
     def is_flat(self) -> bool:
         """Whether the top face is the plane z = 0."""
         return self.ground is None and self.roughness is None

@@ -97,13 +97,16 @@ def strengths(
         sample = cut(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
-        found += [pull(sample, laws, *state, direction, film) for film in (films if law is not None else (None,))]
+        each, ground = films if law is not None else (None,), int(np.count_nonzero(splats.impact == 0))
+        found += [pull(sample, laws, *state, direction, film, ground) for film in each]
     return found
 
 
-def pull(sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0) -> Pull:
-    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element. Raises
-    SolverError if a tetrahedron inverts."""
+def pull(
+    sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
+) -> Pull:  # fmt: skip
+    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground:
+    number of the first bodies that are the substrate and its layers. Raises SolverError if a tetrahedron inverts."""
     machine, greatest = Machine(sample.block, laws, eps_p, T, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
@@ -112,9 +115,9 @@ def pull(sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: s
     t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
     was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others follow
     owner = np.zeros(len(t.nodes.x), int)
-    owner[t.mesh.conn] = t.law_of[:, None]
+    owner[t.mesh.conn] = np.unique(sample.block.body)[t.law_of][:, None]
     lost = bond.area * ((bond.damage > 0.5) & was_bonded)
-    below = (owner[bond.triangles[:, 0]] == 0) & (sample.block.body.min() == 0)
+    below = np.minimum(owner[bond.nodes], owner[bond.triangles[:, 0]]) < ground
     in_bonds, in_metal, work = (rows[-1][key] for key in ("bonds_J", "plastic_J", "work_J"))
     return Pull(
         direction, film, peak["stress_Pa"], peak["strain"], rows[-1]["stress_Pa"] < PARTED * greatest,

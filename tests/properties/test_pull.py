@@ -64,6 +64,7 @@ def test_a_bonded_share_bears_its_strength_where_bonds_are_tough() -> None:
     assert brittle.strength_Pa < 0.97 * tough.strength_Pa
     for found, error in ((tough, 1e-3), (brittle, 0.06)):  # a brittle bond breaks within a step
         assert found.has_parted
+        assert found.at_substrate == 1.0  # the lower body
         assert (found.opened[2]["damage"][found.opened[2]["was_bonded"]] > 0.5).all()
         assert found.brittle > 0.99
         assert found.energy_error < error
@@ -82,7 +83,9 @@ def test_what_touches_bears_pressure_alone() -> None:
     """Halves that touch part without force after the first waves. Pressed on each other they have the stiffness of one
     body in series with springs of 4 K over the edge of an element (`contact.bond.penalty`)."""
     halves = stack([5 * UM, 5 * UM], n=2, joint="touching")
-    assert abs(pulled(halves).rows[-1]["stress_Pa"]) < 1e-3 * N
+    found = pulled(halves)
+    assert abs(found.rows[-1]["stress_Pa"]) < 1e-3 * N
+    assert found.at_substrate == 0.0  # nothing was bonded
     whole, parted = (_pressed(block) for block in (stack([10 * UM], n=2), halves))
     assert whole < 0.0
     edge = np.cbrt(6.0 * np.sqrt(2.0) * (5 * UM) ** 3 / 6.0)

@@ -1,9 +1,11 @@
 """Layers of a substrate: waves and heat across their interfaces, against closed forms."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from coupler import Scene
+from coupler import Scene, run
 from coupler.deposition.pause import _links
 from coupler.errors import SceneError
 from coupler.fe.cooling import cool
@@ -97,3 +99,13 @@ def test_layers_that_cannot_be_meshed_are_refused_by_their_key(before: str, afte
     with pytest.raises(SceneError) as error:
         Scene.from_text(LAYERED.replace(before, after, 1))
     assert says in str(error.value)
+
+
+@pytest.mark.slow
+def test_a_ceramic_layer_that_cracks_is_told(tmp_path: Path) -> None:
+    """Hertz's tension at the rim of a contact is above the 260 MPa that alumina bears long before a metal particle stops."""
+    scene = Scene.from_text(LAYERED, "coated").with_(
+        substrate={"layer": [{"material": "Al2O3", "thickness": "15 um"}]}, resolution={"spacing": "2.5 um"}, end={"time": "12 ns"}
+    )  # fmt: skip
+    warnings = run(scene, tmp_path / "run", quiet=True, error=False).warnings
+    assert any("times the limit of Al2O3: it cracks" in text for text in warnings)
