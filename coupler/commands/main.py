@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from .. import __version__
+from ..core.signals import interrupted_by
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
@@ -34,7 +35,6 @@ _EXTRAS = {
     "pyvista": "fields",
     "nicegui": "app",
 }  # optional package -> its extra
-_INTERRUPTED = 130  # 128 + SIGINT, as shells do
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
 _PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals without these characters
@@ -65,7 +65,10 @@ def main(argv: list[str] | None = None) -> int:
             return 2
         arguments = parser.parse_args(words)
         arguments.words = words
-        with bounded_memory():
+        with (
+            bounded_memory(),
+            interrupted_by(signal.SIGTERM, signal.SIGHUP),
+        ):  # as Ctrl-C: the runs of a study end with it
             code = arguments.command(arguments)
         sys.stdout.flush()
         return code
@@ -78,8 +81,8 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:
         _flush()
         return _BROKEN_PIPE  # the reader has closed the pipe (`| head`)
-    except KeyboardInterrupt:
-        return _fail("stopped", _INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        return _fail("stopped", 128 + _number(interrupt))
     except MemoryError as error:
         return _fail(f"out of memory{f': {error}' if str(error) else ''}; {_MORE_MEMORY}", 2)
     except (OSError, ImportError) as error:
@@ -92,6 +95,11 @@ def main(argv: list[str] | None = None) -> int:
         if message is None:
             raise
         return _fail(message, 2)
+
+
+def _number(interrupt: KeyboardInterrupt) -> int:
+    """Number of the signal that has interrupted a command; shells add 128 to it in the exit code."""
+    return int(interrupt.args[0]) if interrupt.args else signal.SIGINT
 
 
 def _prepare() -> None:
@@ -278,9 +286,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     try:
         result = work(progress=progress, threads=arguments.threads, checkpoint_every=every, jobs=jobs)
     except KeyboardInterrupt as interrupt:
-        number = interrupt.args[0] if interrupt.args else signal.SIGINT
         saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # a summary: only the error is missing
-        return _fail(_stopped(progress, out, saved), 128 + number)
+        return _fail(_stopped(progress, out, saved), 128 + _number(interrupt))
     finally:
         progress.stop()
     if result.undecided is not None and is_first_rank():

@@ -47,10 +47,9 @@ def _slurm_option(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..core.executors import executor
-    from ..core.signals import interrupted_by
     from ..errors import PlacementError, StoreError
     from ..files.outputs import claim_folder
-    from ..studies.runs import STOPS, of_another_scene, run_points
+    from ..studies.runs import of_another_scene, run_points
     from ..studies.sweep import Sweep
 
     sweep = Sweep.load(arguments.sweep)
@@ -70,8 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     pool = executor(arguments.executor, jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
         print(_forecast(sweep, jobs if here else 0), flush=True)
-    with interrupted_by(*STOPS):
-        statuses = run_points(out, sweep.points, jobs, teller(arguments.quiet, "stdout"), sweep.refused, pool)
+    statuses = run_points(out, sweep.points, jobs, teller(arguments.quiet, "stdout"), sweep.refused, pool)
     with working("reading the runs", arguments.quiet):
         summary = summarise(sweep, out)
     if not arguments.quiet:

@@ -9,9 +9,11 @@ from types import FrameType
 
 @contextlib.contextmanager
 def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
-    """Context in which these signals call the handler. Without effect outside the main thread, which alone receives signals."""
+    """Context in which these signals call the handler, except those that the process ignores, as under nohup. Without effect outside
+    the main thread, which alone receives signals."""
     is_main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, handler) for number in numbers if is_main}
+    heard = [number for number in numbers if is_main and signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heard}
     try:
         yield
     finally:

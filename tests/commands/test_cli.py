@@ -2,6 +2,7 @@ import io
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -201,6 +202,20 @@ def test_interrupted(run_that, capsys, tmp_path):
     run_that(act)
     assert cli.main(["run", str(WORKFLOWS / "single_ni.toml"), "--out", str(tmp_path)]) == 130
     assert f"stopped at t = 12.3 ns, files in {tmp_path} are readable" in capsys.readouterr().err
+
+
+def test_a_signal_ends_each_command_as_ctrl_c_does(monkeypatch, capsys):
+    """A study then ends its runs and says how it continues. Signals that the process ignores, as under nohup, stay ignored."""
+    sent = [signal.SIGTERM]
+    monkeypatch.setattr(cli.materials, "run", lambda arguments: signal.raise_signal(sent[0]))
+    assert cli.main(["materials"]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == "coldspray: stopped\n"
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        sent[0] = signal.SIGHUP
+        assert not cli.main(["materials"])
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_broken_computation_has_its_own_exit_code(run_that, capsys):
