@@ -28,6 +28,7 @@ from pages import (
     study,
     write_parts,
 )
+from study_table import Row
 
 from coupler import Scene
 from coupler.files.result import Result
@@ -36,7 +37,7 @@ from coupler.impact.touching import softer_strength
 from coupler.physics.materials import material
 from coupler.report.picture import blank, save
 from coupler.studies.critical import at_velocity, bracket, point_name, rows_at
-from coupler.studies.table import Row, write_rows
+from coupler.studies.table import write_rows
 
 KEY = ("metal", "diameter_um", "temperature_K", "film", "strength", "taylor_alpha", "preset", "velocity_m_s")
 PLACED_KEY = ("metal", "diameter_um", "preset", "velocity_m_s", "placement")

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from pages import ROOT, column, computed, options, study, versions, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.studies import coating
-from coupler.studies.table import Row
 
 SEEDS = range(3, 11)
 SIZES = {"110": 60, "220": 120}  # um, diameter and height

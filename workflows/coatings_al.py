@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pages import EVIDENCE, ROOT, column, computed, markdown, measurements, options, study, with_error, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.geometry.tetrahedra import volumes
@@ -19,7 +20,6 @@ from coupler.physics.materials import material
 from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.splats import Splats
-from coupler.studies.table import Row
 
 MEASURED = measurements("deposition_stress")
 KEY = ("metal", "velocity_m_s", "strength", "seed", "test")

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from pages import computed, impact_tables, markdown, measurements, number, options, spacing_of, study, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.impact.domains import build_domains
@@ -25,7 +26,6 @@ from coupler.measures import CONVERGING, measure
 from coupler.plan.effects import EFFECTS, GRADIENTS
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
-from coupler.studies.table import Row
 
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure

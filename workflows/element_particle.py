@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pages import computed, impact_tables, number, options, study, versions, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -29,7 +30,6 @@ from coupler.particle.packing import surface
 from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
-from coupler.studies.table import Row
 from coupler.target.domain import BodyState, domain_now, domain_of, merge
 
 EFFECTS = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]  # of both

@@ -29,6 +29,7 @@ from pages import (
     versions,
     write_parts,
 )
+from study_table import Row
 
 from coupler import Result, Scene, run
 from coupler.core.executors import executor
@@ -40,7 +41,6 @@ from coupler.measures import measure as record
 from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.report.picture import blank, save
-from coupler.studies.table import Row
 
 SCENES = measurements("accuracy", "scenes")
 PRESETS = ("draft", "standard", "fine")

@@ -32,13 +32,13 @@ from pages import (
     with_error,
     write_parts,
 )
+from study_table import Row
 
 from coupler import Scene
 from coupler.physics.materials import entry, material
 from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
 from coupler.report.picture import blank, save
 from coupler.studies import coating
-from coupler.studies.table import Row
 
 REBOUND, SPLAT, ALUMINIUM = measurements("rebound"), measurements("splat"), measurements("aluminium")
 COATED = {name: value for name, value in measurements("coatings").items() if isinstance(value, dict)}

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from element_particle import EFFECTS, ElementImpact, strike
 from pages import EVIDENCE, column, computed, impact_tables, markdown, number, options, spacing_of, study, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -17,7 +18,6 @@ from coupler.impact.exchange import Impact
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import plan
 from coupler.report.picture import blank, save
-from coupler.studies.table import Row
 
 CASES = {
     "Ni 25 µm, 1000 m/s, on SS304": ("Ni", 25, 1000, "SS304"),

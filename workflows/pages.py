@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from study_table import Row, StudyTable, read_rows
 
 from coupler import Result, Scene, __version__, run
 from coupler.errors import ColdsprayError
-from coupler.studies.table import Row, StudyTable, read_rows, write_rows
+from coupler.studies.table import write_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"

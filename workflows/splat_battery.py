@@ -15,6 +15,7 @@ import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
 from pages import EVIDENCE, markdown, options, spent, study, write_parts
+from study_table import Row
 
 from coupler.errors import SplatError
 from coupler.geometry.sections import crossing, section_of_tets
@@ -22,7 +23,6 @@ from coupler.particle import packing
 from coupler.report.picture import blank, save
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
-from coupler.studies.table import Row
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 KINDS = {"impact": "impacts", "synthetic": "synthetic", "splat": "splats of runs"}

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import verify
 from pages import EVIDENCE, ROOT, column, markdown, options, study, versions, write_parts
+from study_table import Row
 
 from coupler import Result, Scene, run
 from coupler.errors import ColdsprayError, SceneError
 from coupler.impact.exchange import Impact
 from coupler.progress import Progress
 from coupler.report.picture import blank, save
-from coupler.studies.table import Row
 
 Table = dict[str, Any]
 POINTS = 400

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pages import EVIDENCE, column, number, table_rows
 from PIL import Image
+from study_table import Row
 
 from coupler import Result
 from coupler.report.fields import FIELDS
 from coupler.report.picture import View, blank, colour_bar, colour_range, cut, draw, save, scale_bar, stage
 from coupler.report.profiles import profiles
-from coupler.studies.table import Row
 
 AXIS = "validation_axis"  # the table of the curves
 SHOWN = ("eps_p", "T", "von_mises")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from pages import column, markdown, number, table_rows, write_parts
+from study_table import Row
 
 from coupler.report.fields import FIELDS
-from coupler.studies.table import Row
 
 METHODS = ("hybrid", "ale", "experiment")  # of the paper
 PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())

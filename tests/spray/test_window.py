@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from study_table import read_rows
 
 from coupler.commands.main import main
 from coupler.measures import REBOUNDS, STICKS, UNDECIDED
@@ -15,7 +16,6 @@ from coupler.physics.adhesion import THERMAL, PairFormula, critical_velocity, pa
 from coupler.spray.flight import melting
 from coupler.spray.sizes import Sizes
 from coupler.spray.window import ERODES, EROSION, Spray
-from coupler.studies.table import read_rows
 
 ROOT = Path(__file__).parents[2]
 GAS = ["window", "--pressure", "40 bar", "--temperature", "800 degC", "--nozzle", "D42PBI"]

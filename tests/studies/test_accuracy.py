@@ -10,6 +10,7 @@ import errors as battery  # workflows/errors.py
 import pytest
 from pages import table_rows
 from scenes import SMALL, scene_with, several
+from study_table import read_rows
 
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
@@ -21,7 +22,6 @@ from coupler.plan import refinement
 from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.studies import accuracy, pace, timing
-from coupler.studies.table import read_rows
 
 
 def test_a_folder_keeps_to_its_scene(tmp_path):

@@ -10,6 +10,7 @@ from statistics import NormalDist
 
 import pytest
 from scenes import TINY, scene
+from study_table import read_rows
 
 from coupler import Scene, run
 from coupler.commands.main import main
@@ -19,7 +20,6 @@ from coupler.plan.planning import plan
 from coupler.studies import critical
 from coupler.studies import runs as study_runs
 from coupler.studies.critical import Bracket, bracket, next_velocity
-from coupler.studies.table import read_rows
 
 LIMITS = (50.0, 1500.0)
 # strong bonds of little energy: fast particles rebound, slow ones are held

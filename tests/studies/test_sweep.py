@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from study_table import read_rows
 from sweeps import SHARED, made, points, pretend
 
 from coupler.commands import main as cli
@@ -22,7 +23,6 @@ from coupler.plan.reading import Scene
 from coupler.studies import runs as study_runs
 from coupler.studies.runs_table import table
 from coupler.studies.sweep import Sweep
-from coupler.studies.table import read_rows
 
 
 def test_points_of_a_sweep() -> None:

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
+from study_table import StudyTable, read_rows
 
 from coupler import __version__
 from coupler.errors import StoreError
-from coupler.studies.table import StudyTable, read_rows
 
 
 def test_a_study_keeps_its_rows_with_their_versions(tmp_path: Path) -> None:
