@@ -27,7 +27,7 @@ class Sheet:
         corner = np.arange(n * n).reshape(n, n)
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
-        bond = Bond.tie(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, loose=True, **law)
+        bond = Bond.tie(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law)
         self.bonds = ParticleBonds(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
         k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
         self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)

@@ -72,13 +72,13 @@ class Bond:
         cls, nodes: np.ndarray, triangles: np.ndarray, p: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
         strength: float | np.ndarray = np.inf, energy: float | np.ndarray = np.inf,
         shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
-        rewelds: float | np.ndarray = 0.0, loose: bool = False,
+        rewelds: float | np.ndarray = 0.0,
     ) -> "Bond":  # fmt: skip
         """Make bonds between points `nodes` (n,) of p (.,3) m and triangles (n,3) of nodes x (N,3) m. In these positions the bonds
         have no force. area (n,) m2: bonds of zero area are left out; stiffness (Pa/m): see `penalty`.
 
         strength (Pa), energy (J/m2): in the normal direction, one value or (n,); the shear values are equal to them by default.
-        rewelds, loose: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
+        rewelds: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
         """
         kept = area > 0.0
         nodes, triangles = np.asarray(nodes[kept], np.int64), np.ascontiguousarray(triangles[kept], np.int64)
@@ -89,7 +89,7 @@ class Bond:
 
         bond = new_rows(
             cls, len(nodes), nodes=nodes, triangles=triangles, weights=weights, gap=gap, area=area[kept],
-            stiffness=np.full(len(nodes), float(stiffness)), loose=np.full(len(nodes), loose),
+            stiffness=np.full(len(nodes), float(stiffness)),
             strength=columns(strength, strength if shear_strength is None else shear_strength),
             energy=columns(energy, energy if shear_energy is None else shear_energy), rewelds=columns(rewelds)[:, 0],
         )  # fmt: skip

@@ -37,13 +37,15 @@ class BondedPoints:
 class ParticleBonds:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and points on facets of the target.
 
-    The contact carries the pressure between them. A spring carries shear, and tension after the contact has opened: the opening is
-    zero while the net normal traction of the point and its neighbours is compressive. Springs fail as bonds between bodies do.
+    The contact carries the pressure between them: all springs are loose (`Bond.loose`). A spring carries shear, and tension after the
+    contact has opened: the opening is zero while the net normal traction of the point and its neighbours is compressive. Springs fail
+    as bonds between bodies do.
     """
 
     def __init__(self, bond: Bond, start: Ints, ring: Ints):
         """start (v+1,), ring: neighbours of the v points of the surface, ring[start[i]:start[i + 1]] of point i."""
         self.bond, rows = bond, bond.nodes
+        bond.loose[:] = True
         count = start[rows + 1] - start[rows]
         first = np.concatenate([[0], np.cumsum(count)])
         self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[rows] - first[:-1], count)]

@@ -233,9 +233,7 @@ class Impact(Course):
         else:
             metals = self._metals(plan)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
-        later = Bond.tie(
-            rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law, loose=True
-        )
+        later = Bond.tie(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
         self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:

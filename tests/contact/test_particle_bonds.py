@@ -26,7 +26,7 @@ def patch(pull: float, energy: float = np.inf) -> tuple[ParticleBonds, np.ndarra
     facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
     xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
     law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
-    bonds = alone(Bond.tie(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, loose=True, **law))
+    bonds = alone(Bond.tie(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law))
     return bonds, xp + np.array([0.0, 0.0, pull]), x
 
 
@@ -207,13 +207,11 @@ def test_holds_that_form_one_after_another_act_as_one() -> None:
     law = {"strength": STRENGTH, "energy": np.where(part, ENERGY, 2 * ENERGY)}
     parts = [
         Bond.tie(np.flatnonzero(rows), FACETS[below[rows]], both.xp, SQUARE, np.full(rows.sum(), 1e-12), STIFFNESS,
-                 strength=STRENGTH, energy=law["energy"][rows], loose=True)
+                 strength=STRENGTH, energy=law["energy"][rows])
         for rows in (part, ~part)
     ]  # fmt: skip
     joined = alone(Bond.joined(parts))
-    whole = alone(
-        Bond.tie(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, loose=True, **law)
-    )
+    whole = alone(Bond.tie(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, **law))
     f, g, F, G = np.zeros((n, 3)), np.zeros((4, 3)), np.zeros((n, 3)), np.zeros((4, 3))
     to = both.xp + np.array([1e-8, 0.0, 1.5e-7])
     joined.forces(to, SQUARE, f, g)
@@ -234,9 +232,7 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     t, share = b.target, 0.3
     top = t.mesh.facets[t.mesh.sets["a.top"]][:6]
     xp, area = t.nodes.x[top].mean(axis=1), np.full(6, 1e-13)
-    bonds = alone(
-        Bond.tie(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY, loose=True)
-    )
+    bonds = alone(Bond.tie(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY))
     f, g = np.zeros((6, 3)), np.zeros_like(t.nodes.x)
     for lift in np.linspace(0.0, 1e-6, 1000):
         bonds.forces(xp + np.array([0.0, 0.0, lift]), t.nodes.x, f, g)
