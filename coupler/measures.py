@@ -16,24 +16,23 @@ PLASTIC_SHARE_LIMIT = 0.05  # a run warns if the dissipation of the particle's s
 # A surface that lies D / 30 too deep everywhere encloses 20 % less volume (dV / V = 6 d / D)
 SURFACE_VOLUME_LIMIT = 0.2
 OF_THE_SURFACE = (
-    "flattening_ratio",
-    "flattening_ratio_total",
-    "height_m",
-    "thickness_m",
-    "splat_diameter_m",
-    "jet_length_m",
-)
+    "flattening_ratio", "flattening_ratio_total", "height_m", "thickness_m", "splat_diameter_m", "jet_length_m",
+)  # fmt: skip
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy: if larger, it influences the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
-EMBEDDED, BROKEN = (
-    "embedded",
-    "broken",
-)  # verdicts on a ceramic particle: it stays without a bond; its tensile stress is too high
-VERDICTS = STICKS, EMBEDDED, REBOUNDS, BROKEN, UNDECIDED
-# Method that decides a verdict: bonds computed in the impact, formula of the velocity, ties of the scene, motion of the particle alone,
-# tensile stress in a ceramic
-VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION, BY_STRESS = "bonds", "formula", "scene", "motion", "stress"
+EMBEDDED, BROKEN = "embedded", "broken"  # a ceramic particle: it stays without a bond; its tensile stress is too high
+# verdict -> its verb for one particle, and for several
+VERBS = {
+    STICKS: ("sticks", "stick"), EMBEDDED: ("is embedded", "are embedded"), REBOUNDS: ("rebounds", "rebound"),
+    BROKEN: ("is broken", "are broken"), UNDECIDED: ("is undecided", "are undecided"),
+}  # fmt: skip
+VERDICTS = tuple(VERBS)
+BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION, BY_STRESS = "bonds", "formula", "scene", "motion", "stress"
+# method that decides a verdict -> its name: bonds computed in the impact, formula of the velocity, ties of the scene, ...
+VERDICT_BY = {
+    BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "the scene", BY_MOTION: "motion alone", BY_STRESS: "tensile stress",
+}  # fmt: skip
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
 VERDICT, BALANCE = "verdict", "energy and momentum balance"

@@ -11,20 +11,13 @@ from rich.text import Text
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
 from ..measures import (
-    BROKEN,
-    BY_BONDS,
-    BY_FORMULA,
-    BY_MOTION,
-    BY_SCENE,
-    BY_STRESS,
     CONVERGING,
     DISSIPATION_LIMIT,
-    EMBEDDED,
     GROUPS,
-    REBOUNDS,
     STICKS,
     UNDECIDED,
-    VERDICTS,
+    VERBS,
+    VERDICT_BY,
     Measure,
     axis_label,
     measure,
@@ -137,14 +130,14 @@ def verdict(summary: Summary) -> list[str]:
     Several particles: how many stick, how many come off later, and a line for each particle. More than MOST_VERDICTS particles: how
     many verdicts each method decides, and the smallest margin."""
     records = summary.get("impacts", [])
-    counts = {word: sum(r.get("verdict") == word for r in records) for word in VERDICTS}
+    counts = {word: sum(r.get("verdict") == word for r in records) for word in VERBS}
     if sum(counts.values()) == 0:
         return []
     if len(records) == 1:
         record = records[0]
         text = _with_reason(record)
         return [f"{text} (adhesion: {record['verdict_criterion']})" if record.get("verdict_criterion") else text]
-    words = ", ".join(f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n)
+    words = ", ".join(f"{n} {VERBS[word][n > 1]}" for word, n in counts.items() if n)
     head = "; ".join([f"of {len(records)} particles {words}", *_come_off(records)])
     criteria = list(dict.fromkeys(str(r["verdict_criterion"]) for r in records if r.get("verdict_criterion")))
     if len(criteria) == 1:
@@ -159,18 +152,13 @@ def verdict(summary: Summary) -> list[str]:
     return [head, *lines]
 
 
-_VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
-          (EMBEDDED, True): "is embedded", (EMBEDDED, False): "are embedded", (BROKEN, True): "is broken",
-          (BROKEN, False): "are broken", (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
-_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "the scene", BY_MOTION: "motion alone",
-       BY_STRESS: "tensile stress"}  # fmt: skip
 _WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
 
 
 def _with_reason(record: Block, of_several: bool = False) -> str:
     """Text: verdict of a particle with reason, margin and bonded area, as in "sticks: REASON; margin +12.3 m/s"."""
     word = str(record.get("verdict"))
-    text = _VERBS.get((word, True), word) if of_several else word
+    text = VERBS.get(word, (word,))[0] if of_several else word
     if lost := _lost_share(record):
         text += " at its impact and " + ("has come off later" if lost >= _WHOLE else "parts of it have come off later")
     if record.get("verdict_rests_on"):
@@ -217,7 +205,9 @@ def _come_off(records: Sequence[Block]) -> list[str]:
 def _decided_by(records: Sequence[Block]) -> list[str]:
     """Text line: how many verdicts each method decides; empty if the records do not name the method."""
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
-    texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
+    texts = [
+        f"{each.count(by)} by {VERDICT_BY.get(by, by)}" for by in dict.fromkeys([*VERDICT_BY, *each]) if by in each
+    ]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
     texts += [f"{unsettled} still in contact at the end"] if unsettled else []
     return [f"verdicts: {', '.join(texts)}"] if texts else []
