@@ -5,21 +5,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import (
-    Commands,
-    Option,
-    add_jobs,
-    add_study,
-    continuing,
-    jobs_of,
-    quantity,
-    remake,
-    scene_of,
-    share,
-    study_folder,
-    teller,
-    working,
-)
+from . import arguments as options
+from .arguments import Commands, Option
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
@@ -30,15 +17,12 @@ _NAMES = ("scene.toml", "accuracy.csv", "accuracy.png")
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_study(commands, "accuracy", run, "compute a scene at several numbers of points: accuracy against time")
-    option(
-        "--points",
-        type=int,
-        nargs="+",
-        metavar="N",
-        help="numbers of points of the particle (default: 500 1000 2000 3500 5000 16000)",
+    option = options.add_study(
+        commands, "accuracy", run, "compute a scene at several numbers of points: accuracy against time"
     )
-    add_jobs(option, "number of simultaneous runs")
+    text = "numbers of points of the particle (default: 500 1000 2000 3500 5000 16000)"
+    option("--points", type=int, nargs="+", metavar="N", help=text)
+    options.add_jobs(option, "number of simultaneous runs")
 
 
 def add_to_run(option: Option) -> None:
@@ -47,9 +31,8 @@ def add_to_run(option: Option) -> None:
     text = 'choose the coarsest resolution whose expected error of the splat shape is at most this: "2%%"'
     option("--accuracy", metavar="PERCENT", help=text)
     option("--spread", choices=("strength", "friction"),
-           help="also compute the scene with the other strength sets of its metals, or with the smallest and"
-           " largest friction, and print"
-           " the range")  # fmt: skip
+           help="also compute the scene with the other strength sets of its metals, or with the smallest and largest friction, and"
+           " print the range")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,11 +40,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ..studies import accuracy
     from ..studies.table import write_rows
 
-    scene = scene_of(arguments)
-    out, say = study_folder(arguments, scene, "accuracy", _NAMES), teller(arguments.quiet)
-    with continuing(out, say):
-        rows = accuracy.compute(scene, out, arguments.points or accuracy.POINTS, jobs_of(arguments), say)
-    write_rows(out / "accuracy.csv", accuracy.COLUMNS, rows, remake(arguments))
+    scene = options.scene_of(arguments)
+    out, say = options.study_folder(arguments, scene, "accuracy", _NAMES), options.teller(arguments.quiet)
+    with options.continuing(out, say):
+        rows = accuracy.compute(scene, out, arguments.points or accuracy.POINTS, options.jobs_of(arguments), say)
+    write_rows(out / "accuracy.csv", accuracy.COLUMNS, rows, options.remake(arguments))
     accuracy.draw(rows, out / "accuracy.png", scene.name)
     if not arguments.quiet:
         print(*accuracy.lines(rows), sep="\n")
@@ -76,7 +59,7 @@ def here(recalibrate: bool = False) -> "Pace":
     def measure() -> float:
         from ..studies.timing import measure
 
-        with working("measuring the speed of this machine with a small impact (only once)"):
+        with options.working("measuring the speed of this machine with a small impact (only once)"):
             return measure()
 
     return pace.of_this_machine(measure, recalibrate)
@@ -88,7 +71,7 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
     from ..files.result import Result
     from ..studies import spread
 
-    say, (others, none) = teller(quiet, "stdout"), spread.SPREADS[choice]
+    say, (others, none) = options.teller(quiet, "stdout"), spread.SPREADS[choice]
     if not (scenes := others(scene)):
         say(f"--spread {choice}: {none}")
         return
@@ -105,8 +88,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     from ..plan.refinement import LEAST, MOST, SHAPE, AccuracyError, at_points
     from ..plan.text import duration
 
-    limit = quantity("--within", "time")(within) if within else math.inf
-    asked = share(accuracy, "--accuracy") if accuracy else None
+    limit = options.quantity("--within", "time")(within) if within else math.inf
+    asked = options.share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]
     # the smallest particle needs enough points, too
@@ -120,9 +103,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
             raise AccuracyError(
-                f"--accuracy {accuracy} cannot be reached: the error of the shape with {MOST} points, the"
-                f" largest allowed number, is about"
-                f" {least:.2g} %; give a percentage of at least this value (docs/evidence/accuracy.md)"
+                f"--accuracy {accuracy} cannot be reached: the error of the shape with {MOST} points, the largest allowed number,"
+                f" is about {least:.2g} %; give a percentage of at least this value (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:

@@ -29,12 +29,8 @@ if TYPE_CHECKING:
 
 # shared libraries of the system that wheels need
 _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
-_EXTRAS = {
-    "sklearn": "maps",
-    "pandas": "fields",
-    "pyvista": "fields",
-    "nicegui": "app",
-}  # optional package -> its extra
+# optional package -> its extra
+_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields", "nicegui": "app"}
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
 _PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals without these characters
@@ -266,10 +262,9 @@ def _resume(arguments: argparse.Namespace) -> int:
     if arguments.until is None and (result := Result(arguments.folder)).at_own_end:
         resume(arguments.folder, quiet=True)  # completes missing files
         if is_first_rank():
-            at = (
-                f"the run has met its end criterion ({result.end['time_s'] * 1e9:.4g} ns), and its verdict is undecided"
-            )
-            print(f"{at}; {_FURTHER.format(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
+            end = f"the run has met its end criterion ({result.end['time_s'] * 1e9:.4g} ns)"
+            text = f"{end}, and its verdict is undecided; {_FURTHER.format(arguments.folder)}"
+            print(text, file=sys.stderr if arguments.quiet else sys.stdout)
         return 0
     more = {"until": arguments.until, "skip_failed": arguments.skip_failed, "error": not arguments.no_error}
     return _compute(arguments, arguments.folder, partial(resume, arguments.folder, **more))
