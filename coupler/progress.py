@@ -45,13 +45,8 @@ class Progress:
         # clock without compilation, and share done, at the first update of an impact; clock at the last update
         self._first: tuple[float, float] | None = None
         self._clock = 0.0
-        self._looped, self._part = (
-            0.0,
-            0.0,
-        )  # wall time of the loops of the earlier impacts, and their share of the whole
-        self._batches: tuple[float, float] | None = (
-            None  # clock and share done at the end of the first batch of impacts
-        )
+        self._looped, self._part = 0.0, 0.0  # of the earlier impacts: wall time of their loops, share of the whole
+        self._batches: tuple[float, float] | None = None  # clock and share done at the end of the first batch
         self._next = 0.0
         self._ticker: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -70,10 +65,8 @@ class Progress:
         step, s."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
-        if self._first is not None and shares[i] != (
-            self._done,
-            self._share,
-        ):  # else the impact starts again, and the failed attempt does not count
+        is_new = shares[i] != (self._done, self._share)  # else the impact starts again: the attempt does not count
+        if self._first is not None and is_new:
             self._looped += self._clock - self._first[0]
             self._part += self._done + self._share - self._first[1]
         self._first = None

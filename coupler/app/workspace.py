@@ -25,14 +25,8 @@ from ..studies.pace import Pace
 LOG, PID = "app.log", "app.pid"  # in a folder of results: what its process prints, and the process
 KINDS = RUN, JOB = "run", "job"  # as folders are marked
 COATING = "coating"  # a run of several impacts
-RUNNING, QUEUED, FINISHED, UNDECIDED, STOPPED, DAMAGED = (
-    "running",
-    "queued",
-    "finished",
-    "undecided",
-    "stopped",
-    "damaged",
-)
+RUNNING, QUEUED, STOPPED = "running", "queued", "stopped"  # states of a folder
+FINISHED, UNDECIDED, DAMAGED = "finished", "undecided", "damaged"
 RECENT = 60.0  # s: a run without a process of the page that has written since is computed elsewhere
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", re.ASCII)
 _OF_FILES = re.compile(r"library|(particle(\[\d+\])?|coating)\.files?|powder\.sizes")  # keys whose value may be a path

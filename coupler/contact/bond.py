@@ -14,9 +14,8 @@ from .surfaces import Interface, Surfaces
 
 # bulk moduli per spacing: the bond is as stiff as a quarter of a layer of elements and reflects waves no more than a change of mesh
 BOND_STIFFNESS = 4.0
-MAX_SLIDE = (
-    0.5  # spacings: with a larger slip the bond can lie beside its triangle, and the contact resists its compression
-)
+# spacings: with a larger slip the bond can lie beside its triangle, and the contact resists its compression
+MAX_SLIDE = 0.5
 
 
 def penalty(bulk_modulus: float, spacing: float) -> float:

@@ -26,9 +26,8 @@ from .pause import pause
 
 REST = 2.25  # radius about an impact point in which equilibrium is computed, over the radius of the sub-domain
 SHELLS = 8  # of the numbering within REST: a space-filling curve in each shell makes a step of the elements 25 % faster or more
-RELEASED_BOUND = (
-    0.005  # greatest kinetic energy that joining a splat may release, over the kinetic energy of the impact
-)
+# greatest kinetic energy that joining a splat may release, over the kinetic energy of the impact
+RELEASED_BOUND = 0.005
 
 
 def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point) -> tuple[Bodies, Values]:

@@ -21,13 +21,11 @@ from .heat import LEAST, gains, means, shares, take_heat
 from .model import Elements
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
-STEP_GROWTH = (
-    2.0  # ratio of steps: 1.5 reduces the error of temperatures after a pause by a fifth, with 1.6 times the steps
-)
+# ratio of steps: 1.5 reduces the error of temperatures after a pause by a fifth, with 1.6 times the steps
+STEP_GROWTH = 2.0
 FIRST_STEP = 0.1  # first step over the shortest time constant of an element
-CG_TOLERANCE = (
-    3e-4  # of the linear solver: an error of a millikelvin after a pause; 1e-4 takes an eighth more iterations
-)
+# of the linear solver: an error of a millikelvin after a pause; 1e-4 takes an eighth more iterations
+CG_TOLERANCE = 3e-4
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ AT_ONCE = 4096  # points in a block of `in_tets`: some 100 MB
 ROUNDING = 1e-9  # of a barycentric coordinate
 LEAST_KEPT = 0.9  # fraction of the points; if fewer would remain, the cloud is not cleaned
 BITS = 16  # of each coordinate in the key of `morton`
-FLAT = (
-    0.015  # variance of the neighbours along their normal over the sum of variances: below it the points are a surface
-)
+# variance of the neighbours along their normal over the sum of variances: below it the points are a surface
+FLAT = 0.015
 LONELY = 2.5  # spacings: a point whose nearest neighbour is farther away is not part of a body
 
 

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
-TETS_PER_H3 = (
-    4.2  # tetrahedra in a volume h^3, counted in meshes of gmsh: half the number of regular tetrahedra of edge h
-)
+# tetrahedra in a volume h^3, counted in meshes of gmsh: half the number of regular tetrahedra of edge h
+TETS_PER_H3 = 4.2
 #: Faces of a tetrahedron of positive volume, normals outwards; face i is opposite to corner i.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 

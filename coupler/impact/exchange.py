@@ -33,9 +33,8 @@ from .exposure import Exposure
 from .ledger import Ledger
 from .touching import Touching
 
-APPROACH = (
-    0.5  # spacings: largest motion of a point in a chunk of steps, in which the stable step is not computed again
-)
+# spacings: largest motion of a point in a chunk of steps, in which the stable step is not computed again
+APPROACH = 0.5
 LOST = 0.01  # largest share of the points that can lie deeper than a spacing in the target at the end
 
 

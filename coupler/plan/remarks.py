@@ -13,9 +13,8 @@ from .reading import Scene
 
 BEYOND_FIT = "beyond the fitted range"
 NEAR_MELTING = 0.9  # temperature over melting point
-EXPOSURE_POINTS = (
-    12000  # of a particle: with fewer points its surface stretches too little, and bonds by exposure are too weak
-)
+# points of a particle: with fewer its surface stretches too little, and bonds by exposure are too weak
+EXPOSURE_POINTS = 12000
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:

@@ -13,9 +13,8 @@ from .. import units
 from .model import SceneData
 from .tables import read_table
 
-_EXAMPLES: dict[
-    str, dict[str, object]
-] = {  # of required fields; those of particle and substrate replace faulty ones while other fields are checked
+# of required fields; those of particle and substrate replace faulty ones while other fields are checked
+_EXAMPLES: dict[str, dict[str, object]] = {
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
     "coating": {"material": "Ni", "number": 40, "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"},

@@ -21,9 +21,8 @@ from ..report.words import with_error
 from .splats import Columns, Splats, roughness
 
 DISC = 0.6  # radius of the measured disc over the radius of the patch on which centres of particles fall
-FINEST = (
-    0.25  # splat element sizes: thinner voids cannot be distinguished from the gap between facets and a round surface
-)
+# splat element sizes: thinner voids cannot be distinguished from the gap between facets and a round surface
+FINEST = 0.25
 SECTORS = 8  # of the disc, for the standard error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 FATES = {EMBEDDED: "embedded", REBOUNDS: "bounced", BROKEN: "broken"}  # verdicts on ceramic particles, and words
@@ -231,21 +230,17 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
         + seeds("deposition_efficiency", 100.0, " %"),
         f"{'residual stress' if is_cold else 'stress before cooling'}, in plane": f"{stress:+.0f}{error} MPa{parts};"
         f" mean over the volume of the splats, the error is the variation over the disc{seeds('stress_in_plane_Pa', 1e-6, ' MPa')}",
-        **(
-            {
-                "metals": "; ".join(
-                    f"{row['metal']} {row['volume_share']:.1%} of the volume, {row['fed_share']:.1%} of the mass fed,"
-                    f" {row['deposited_share']:.1%} of the mass deposited, efficiency {row['efficiency']:.1%}"
-                    + "".join(f", {row[fate]} {word}" for fate, word in FATES.items() if fate in row)
-                    for row in measures.phases
-                )
-            }
-            if len(measures.phases) > 1
-            else {}
+        "metals": "; ".join(
+            f"{row['metal']} {row['volume_share']:.1%} of the volume, {row['fed_share']:.1%} of the mass fed,"
+            f" {row['deposited_share']:.1%} of the mass deposited, efficiency {row['efficiency']:.1%}"
+            + "".join(f", {row[fate]} {word}" for fate, word in FATES.items() if fate in row)
+            for row in measures.phases
         ),
         "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the coated area",
         "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
     }
+    if len(measures.phases) < 2:
+        del texts["metals"]
     return list(texts.items())
 
 

@@ -28,9 +28,8 @@ LOGARITHMIC = ("velocity_m_s", "diameter_m")
 FEWEST_VALUES = 4  # along each axis, for an interpolation
 POINTS_PER_AXIS = 10  # Loeppky, Sacks & Welch (2009), Technometrics 51, 366
 FEWEST_IN_PLANE = 12  # points over two axes: three quarters of the smallest grid
-SPREAD = (
-    0.25  # least ratio of the smallest to the largest singular value of the scaled points; 0.25: a correlation of 0.88
-)
+# least ratio of the smallest to the largest singular value of the scaled points; 0.25: a correlation of 0.88
+SPREAD = 0.25
 NARROW = 0.05  # width over middle of a bracket of the critical velocity that is not divided again
 FORMULAS = ("velocity_ratio",)  # measures that follow from the scene without a run
 LONGEST = 3.0  # largest correlation length over the range of its axis
