@@ -7,17 +7,16 @@ from xml.sax.saxutils import quoteattr
 import meshio
 
 from .outputs import MARK, replacing, write_text
-from .result import COLD, DOMAINS, Result
+from .result import STORED, Result
 
 CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> type in meshio
-WRITTEN = (*DOMAINS, COLD)
-NAMES = tuple(f"{domain}{ending}" for domain in WRITTEN for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu"))
+NAMES = tuple(f"{domain}{ending}" for domain in STORED for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu"))
 
 
 def write_fields(result: Result, folder: Path, stage: Callable[[str], None] = lambda text: None) -> list[Path]:
     """Write the stored steps of each domain: a .vtu file for each step, and a .pvd file that lists them with their times; SI units.
     Returns the .pvd files. stage(text): called with the name of each step. Raises StoreError."""
-    domains = {domain: count for domain in WRITTEN if (count := len(result.times(domain)))}
+    domains = {domain: count for domain in STORED if (count := len(result.times(domain)))}
     for domain, count in domains.items():
         entries = []
         for step in range(count):

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..errors import ColdsprayError, StoreError, UnreadableError
 from .inputs import check_regular, require_memory
 
-CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
+CELL_TYPES = {1: 1, 3: 5, 4: 10}  # points of a cell -> VTK cell type: vertex, triangle, tetrahedron
+_COLUMNS = {kind: columns for columns, kind in CELL_TYPES.items()}
 DEFLATE_LIMIT = 1100  # greatest compression ratio of gzip: a file that states more data is damaged
 FARTHEST = 1e3  # m from the origin: farther points count as damage
 H = TypeVar("H", h5py.Group, h5py.Dataset)
@@ -129,11 +130,11 @@ def read_arrays(
     points = root.rows("Points", root.number("Steps/PointOffsets", step), point_count).astype(np.float64)
     types = root.rows("Types", root.number("Steps/CellOffsets", step), cell_count, kinds="iu")
     kind = int(types[0]) if cell_count else 1
-    if points.ndim != 2 or points.shape[1] != 3 or kind not in CELL_COLUMNS or (types != kind).any():
+    if points.ndim != 2 or points.shape[1] != 3 or kind not in _COLUMNS or (types != kind).any():
         raise ValueError("points are not an array (n, 3), or cells are of an unknown type or of several types")
     if (np.abs(points) > FARTHEST).any():
         raise ValueError(f"points lie more than {FARTHEST:g} m from the origin")
-    columns = CELL_COLUMNS[kind]
+    columns = _COLUMNS[kind]
     if id_count != columns * cell_count:
         raise ValueError(f"the connectivity must have {columns} points for each of {cell_count} cells")
     start = root.number("Steps/ConnectivityIdOffsets", step)

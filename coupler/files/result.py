@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..units import nearest
-from .fields import CELL_COLUMNS, Fields, opened, read_step, times_of
+from .fields import CELL_TYPES, Fields, opened, read_step, times_of
 from .inputs import SCENE_LIMIT, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 DOMAINS = ("particle", "surface", "target")
 HISTORY = "history.csv"
 COLD = "cold"  # the bodies after the closing stage, one step
-_VTK_TYPES = {columns: kind for kind, columns in CELL_COLUMNS.items()}
+STORED = (*DOMAINS, COLD)
 _CSV_MEMORY = 12  # memory while reading over the size of the file
 
 
@@ -42,7 +42,7 @@ class Result:
             raise StoreError(
                 f"{directory} is not a results folder{of_scene or similar(Path(directory), is_folder=True)}"
             )
-        known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
+        known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in STORED)]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
@@ -138,7 +138,7 @@ class Result:
 
     def times(self, domain: str = "particle") -> NDArray[np.float64]:
         """Times of the stored steps of a domain, (steps,), s; empty if no step is stored."""
-        path = self._path(domain)
+        path = fields_file(self.directory, domain)
         if not path.is_file():
             return np.zeros(0)
         with opened(path) as root:
@@ -147,7 +147,7 @@ class Result:
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
         """Points, cells and data of a domain at a stored step; step -1 is the last. domain: "particle", "surface", "target" or
         "cold". Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
-        path = self._path(domain)
+        path = fields_file(self.directory, domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")
         with opened(path) as root:
@@ -163,7 +163,7 @@ class Result:
             import pyvista
 
         fields = self.fields(step, domain)
-        grid = pyvista.UnstructuredGrid({_VTK_TYPES[fields.cells.shape[1]]: fields.cells}, fields.points)
+        grid = pyvista.UnstructuredGrid({CELL_TYPES[fields.cells.shape[1]]: fields.cells}, fields.points)
         at_points, in_cells = fields.split()
         grid.point_data.update(at_points)
         grid.cell_data.update(in_cells)
@@ -225,10 +225,12 @@ class Result:
         self._rows_at, self._known_rows = now, (names, values)
         return names, values
 
-    def _path(self, domain: str) -> Path:
-        if domain not in (*DOMAINS, COLD):
-            raise ValueError(f"unknown domain {domain!r}; known domains: {', '.join((*DOMAINS, COLD))}")
-        return self.directory / f"{domain}.vtkhdf"
+
+def fields_file(directory: Path, domain: str) -> Path:
+    """The file with the fields of a domain in the folder of a run. Raises ValueError for an unknown domain."""
+    if domain not in STORED:
+        raise ValueError(f"unknown domain {domain!r}; known domains: {', '.join(STORED)}")
+    return directory / f"{domain}.vtkhdf"
 
 
 @contextmanager

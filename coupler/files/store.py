@@ -23,7 +23,7 @@ from ..core.records import Shape, unfit
 from ..errors import StoreError, UnreadableError
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
-from .result import COLD, DOMAINS, HISTORY
+from .result import HISTORY, STORED, fields_file
 from .vtkhdf import Data, VtkHdfWriter, first_steps
 
 SCENE, PLAN, LOG = "scene.toml", "plan.json", "run.log"
@@ -72,8 +72,7 @@ class Store:
             store = cls(directory, _lock(directory))
             try:
                 # the summary first: without it the new run counts as unfinished
-                fields = (f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))
-                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *fields):
+                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in STORED)):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 if plan_json:
@@ -103,8 +102,8 @@ class Store:
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # it exists if the run was undecided
             (self.directory / SUMMARY).unlink(missing_ok=True)
-        for domain in (*DOMAINS, COLD):
-            path = self.directory / f"{domain}.vtkhdf"
+        for domain in STORED:
+            path = fields_file(self.directory, domain)
             with _named(path):
                 if steps.get(domain):
                     self._copy_steps(domain, path, steps[domain], log)
@@ -152,9 +151,7 @@ class Store:
     def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one time step to `DIR/<domain>.vtkhdf`. domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or
         "cold" (tetrahedra (m, 4)). Other arguments as for `VtkHdfWriter.write`. Raises StoreError, such as for a full disk."""
-        if domain not in (*DOMAINS, COLD):
-            raise ValueError(f"unknown domain {domain!r}; known domains: {(*DOMAINS, COLD)}")
-        path = self.directory / f"{domain}.vtkhdf"
+        path = fields_file(self.directory, domain)
         with _named(path):
             if domain not in self._writers:
                 self._writers[domain] = VtkHdfWriter(path)

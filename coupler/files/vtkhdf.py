@@ -21,12 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.threads import share
-from .fields import opened, read_arrays, times_of
+from .fields import CELL_TYPES, opened, read_arrays, times_of
 
 Data = Mapping[str, ArrayLike]
-
-# Columns of the connectivity -> VTK cell type: vertex, triangle, tetrahedron.
-CELL_TYPES = {1: 1, 3: 5, 4: 10}
 
 # Name of a data set -> unit; number of columns -> their names: attributes `units` and `components` of the data sets
 UNITS = {

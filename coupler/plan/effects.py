@@ -9,13 +9,10 @@ from functools import cached_property
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
 from ..physics.recovery import recovered_share
-from ..scene.effects import NAMES, WHOLE
+from ..scene.effects import GRADIENTS
 from .cost import STRAIN_OF_FLOW
 from .model import Decision, ImpactPlan
 from .reading import Scene
-
-# by default only on with bonds by exposure, whose verdicts depend on it
-GRADIENTS = "gradient_hardening"
 
 
 @dataclass(frozen=True)
@@ -150,30 +147,6 @@ EFFECTS = (
     ),
     Effect("recovery", "dislocations recovered in a pause", lambda s: s.of_both(s.recovered), 0.01),
 )  # fmt: skip
-
-
-def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """The effects that a scene sets itself; True means on. `decide` chooses all others by the number of each effect.
-
-    request is the key `effects` of the scene:
-    - "auto": the scene sets no effect;
-    - "none": all effects are off;
-    - "all": all effects are on, but the scene does not set GRADIENTS;
-    - a list of names: only these effects are on;
-    - a list that begins with "auto", "all" or "none": this choice with changes, such as ["auto", "-friction"];
-    - a list in which all names have a sign, such as ["-friction"]: "auto" with these changes.
-    """
-    if isinstance(request, str):
-        items, base = [], request
-    else:
-        items = list(request)
-        base = "auto" if items and all(item[0] in "+-" for item in items) else "none"
-        if items and items[0] in WHOLE:
-            base = items.pop(0)
-    whole = {} if base == "auto" else dict.fromkeys(NAMES, base == "all")
-    if base == "all":
-        del whole[GRADIENTS]
-    return whole | {item.lstrip("+-"): not item.startswith("-") for item in items}
 
 
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:

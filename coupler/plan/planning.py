@@ -10,7 +10,7 @@ from ..geometry.tetrahedra import COARSEST
 from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, pair_formula
 from ..physics.materials import Material
-from ..scene.effects import Effects
+from ..scene.effects import Effects, requested
 from ..scene.tables import Particle
 from . import cost as estimates
 from . import effects
@@ -69,7 +69,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
 def _settled(scene: Scene) -> dict[str, bool]:
     """The effects that the scene sets; True means on. They follow from the key `effects`, or because a requested result needs
     them."""
-    settled = effects.requested(scene.effects)
+    settled = requested(scene.effects)
     if scene.derived.ambient is not None:  # they cause residual stresses
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
     if any(p.dwell is None for p in scene.particles[:-1]):

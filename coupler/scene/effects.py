@@ -1,7 +1,7 @@
 """Names of the effects of a scene, and the check of its key `effects`."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 from .. import units
 
@@ -42,21 +42,41 @@ class Effects:
 
 NAMES = tuple(field.name for field in fields(Effects))
 WHOLE = ("auto", "all", "none")
+GRADIENTS = "gradient_hardening"  # by default only on with bonds by exposure, whose verdicts depend on it
 
 
-def check_request(request: str | Sequence[str]) -> list[str]:
-    """Problems of the key `effects` of a scene."""
-    if isinstance(request, str):
-        return [] if request in WHOLE else [f"expected one of {', '.join(WHOLE)}, or a list of names"]
-    problems, seen = [], set()
-    for i, item in enumerate(request):
-        name = item.lstrip("+-") if item[:1] in "+-" else item
+def requested(request: object) -> dict[str, bool]:
+    """The effects that a scene sets itself; True means on. `plan.effects.decide` chooses all others by the number of each effect.
+    Raises ValueError with all problems of the request.
+
+    request is the key `effects` of the scene:
+    - "auto": the scene sets no effect;
+    - "none": all effects are off;
+    - "all": all effects are on, but the scene does not set GRADIENTS;
+    - a list of names: only these effects are on;
+    - a list that begins with "auto", "all" or "none": this choice with changes, such as ["auto", "-friction"];
+    - a list in which all names have a sign, such as ["-friction"]: "auto" with these changes.
+    """
+    is_list = isinstance(request, list) and all(isinstance(item, str) and item for item in request)
+    items: list[Any] = request if is_list else [request]  # type: ignore[assignment]
+    base = "auto" if items and all(str(item).startswith(("+", "-")) for item in items) else "none"
+    if items and items[0] in WHOLE:
+        base, *items = items
+    elif not is_list:
+        raise ValueError(f"expected one of {', '.join(WHOLE)}, or a list of names")
+    asked, problems = dict[str, bool](), list[str]()
+    for item in items:
+        name = item.lstrip("+-")
         if item in WHOLE:
-            if i > 0:
-                problems.append(f'"{item}" may only be the first element of the list')
+            problems.append(f'"{item}" may only be the first element of the list')
         elif name not in NAMES or len(item) - len(name) > 1:
             problems.append(f"unknown effect {item[:40]!r}{units.nearest(name, NAMES)}; known: {', '.join(NAMES)}")
-        elif name in seen:
+        elif name in asked:
             problems.append(f'"{name}" is named twice')
-        seen.add(name)
-    return problems
+        asked[name] = not item.startswith("-")
+    if problems:
+        raise ValueError("; ".join(problems))
+    whole = {} if base == "auto" else dict.fromkeys(NAMES, base == "all")
+    if base == "all":
+        del whole[GRADIENTS]
+    return whole | asked

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 
 from . import tables
 from .coating import Coating
-from .effects import check_request
+from .effects import requested
 
 MOST_IMPACTS = 500
 
@@ -55,12 +55,7 @@ class SceneData(tables.Section):
     @field_validator("effects", mode="before")
     @classmethod
     def _known_effects(cls, value: object) -> object:
-        if isinstance(value, list) and all(isinstance(item, str) and item for item in value):
-            problems = check_request(value)
-        else:
-            problems = check_request(value if isinstance(value, str) else "")
-        if problems:
-            raise ValueError("; ".join(problems))
+        requested(value)  # raises ValueError
         return value
 
     @property

@@ -111,6 +111,11 @@ def texts(text: str, keys: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def toml_text(tables: Mapping[str, object]) -> str:
+    """Nested dicts as TOML."""
+    return tomlkit.dumps(tables)
+
+
 def set_key(table: Any, key: str, value: object) -> None:
     """Set a key such as "particle[2].velocity" of a scene, which is nested dicts or a document of tomlkit. value: None removes the key.
 

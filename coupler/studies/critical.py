@@ -24,8 +24,8 @@ from ..plan import refinement
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
+from ..scene.toml import toml_text
 from .runs import Log, how_ended, reason_of, run_point, run_points
-from .sweep import toml_text
 from .table import write_rows
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, default limits of the search

@@ -20,9 +20,10 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_toml
 from ..measures import UNDECIDED, VERDICTS, measure
+from ..scene.toml import set_key, toml_text
 from .runs import run_point
 from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
-from .sweep import point_name, set_key, toml_text
+from .sweep import point_name
 
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
 FEWEST_VALUES = 4  # along each axis, for an interpolation

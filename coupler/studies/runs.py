@@ -21,7 +21,7 @@ from pathlib import Path
 from ..core.cores import cores
 from ..core.executors import executor, own_environment
 from ..errors import InterruptedRunError, SceneError
-from ..files.inputs import InputError, read_json_object, read_text
+from ..files.inputs import InputError, parse_toml, read_json_object, read_text, read_toml
 from ..files.outputs import claim_folder, write_text
 from ..files.result import Result
 from ..plan.reading import Scene
@@ -117,7 +117,7 @@ def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
     others = []
     for point, text in points.items():
         scene = folder / f"{point}.toml"
-        if scene.is_file() and read_text(scene) != text:
+        if scene.is_file() and not _holds(scene, text):
             ended = how_ended(folder / f"{point}.json")
             if (folder / point / "scene.toml").is_file() or (ended is not None and ended.get("exit_code") != REFUSED):
                 others.append(point)
@@ -125,12 +125,17 @@ def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
 
 
 def write_scene(folder: Path, point: str, text: str) -> Path:
-    """Write the scene (TOML) of a point, unless its file has this text. Returns the path. Raises StoreError."""
+    """Write the scene (TOML) of a point, unless its file has the same data. Returns the path. Raises StoreError."""
     path = folder / f"{point}.toml"
-    if not path.is_file() or read_text(path) != text:
+    if not path.is_file() or not _holds(path, text):
         claim_folder(folder, "sweep", [path.name], force=None)
         write_text(path, text)
     return path
+
+
+def _holds(path: Path, text: str) -> bool:
+    """Whether the file of a scene has the same data as a TOML text."""
+    return read_text(path) == text or read_toml(path) == parse_toml(text)
 
 
 def compute(scene: Path, threads: int = 1) -> dict[str, object]:

@@ -15,7 +15,7 @@ from ..files.inputs import read_toml, similar
 from ..plan.own import with_library
 from ..plan.reading import Scene
 from ..scene.model import safe_name
-from ..scene.toml import set_key
+from ..scene.toml import set_key, toml_text
 from ..units import UnitError, nearest, parse, rounded
 from .ensemble import Distribution, distribution_of, draws
 from .runs import run_points
@@ -122,25 +122,6 @@ def point_name(point: Mapping[str, object]) -> str:
         label = "" if key in SHORT.values() else key.rpartition(".")[2]
         words.append(re.sub(r"[^A-Za-z0-9.+-]", "", label + text))
     return "_".join(words)[:120]
-
-
-def toml_text(table: Mapping[str, object], above: str = "") -> str:
-    """Nested dicts as TOML, a line with a dotted key for each value."""
-    lines = ""
-    for key, value in table.items():
-        name = above + _toml_key(key)
-        lines += toml_text(value, f"{name}.") if isinstance(value, Mapping) else f"{name} = {_toml_value(value)}\n"
-    return lines
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
-
-
-def _toml_value(value: object) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items()) + " }"
-    return f"[{', '.join(map(_toml_value, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
 def _base(scene: object, source: str, problems: list[str]) -> Table:
