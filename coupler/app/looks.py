@@ -77,11 +77,8 @@ def _gas(job: Job) -> Look:
         "share": spray.share, "diameter_um": 1e6 * spray.diameter, "velocity_m_s": spray.velocity,
         "temperature_K": spray.temperature, "critical_velocity_m_s": spray.critical,
     }  # fmt: skip
-    lines = "; ".join(
-        [*job.flow.notes, *([f"assumed values of the nozzle: {job.nozzle.assumed}"] if job.nozzle.assumed else [])]
-    )
     drawn = (figures.window(job), figures.flights(job))
-    return Look((), lines, "", tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
+    return Look((), "; ".join(job.flow.notes), "", tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
 
 
 def now(workspace: Workspace, folder: Path) -> Now:

@@ -1,6 +1,7 @@
 """The command `coldspray gas`: impact velocity and temperature against particle diameter, as table, file and picture."""
 
 import argparse
+import re
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 DIAMETERS = ("5 um", "10 um", "15 um", "20 um", "25 um", "30 um", "40 um", "50 um", "60 um")
 _FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "powder_temperature", "drag")
+_OPTIONS = {"kind": "gas", "powder_temperature": "powder-temperature"}  # field -> option of another name
+_NAMES = re.compile(rf"^({'|'.join(_OPTIONS)})\b")
 
 
 def add(commands: Commands) -> None:
@@ -32,9 +35,10 @@ def add(commands: Commands) -> None:
 def add_conditions(option: Option) -> None:
     """Add the options for gas, nozzle and material; `setup` evaluates them."""
     option("--gas", dest="kind", default="N2", help="name of the gas: N2 (default), He or air")
-    option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
-    option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
-    option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --library FILE")
+    option("--pressure", metavar="P", required=True, help='total pressure before the nozzle, such as "40 bar"')
+    option("--temperature", metavar="T", required=True, help='total temperature before the nozzle, such as "800 degC"')
+    text = "a nozzle of the library (coldspray nozzles), or of --library FILE"
+    option("--nozzle", metavar="NAME", required=True, help=text)
     add_library(option)
     option("--material", metavar="NAME", default="Ni", help="metal of the particle (default: Ni)")
     option("--standoff", metavar="L", default="30 mm", help="distance between nozzle and target (default: 30 mm)")
@@ -83,18 +87,15 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     from ..spray.nozzles import unknown
 
     nozzles = known_nozzles(arguments)
-    metals, found = materials.from_scene(own_tables(arguments)["materials"])
-    if found:
-        raise SceneError(found, str(arguments.library))
+    metals, of_metals = materials.from_scene(own_tables(arguments)["materials"])
+    if of_metals:
+        raise SceneError(of_metals, str(arguments.library))
     for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
         if out is not None:
             claim_file(out, (suffix,), [arguments.library] if arguments.library else [], arguments.force)
-    options = {field: value for field in _FIELDS if (value := vars(arguments)[field]) is not None}
-    conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
-    given = {field: f' "{text[:40]}"' for field, text in options.items()}
-    names = {field: f"--{field.replace('_', '-')}" for field, _ in field_problems} | {"kind": "--gas"}
-    problems = [f"{names[field]}{given.get(field, '')} {problem}" for field, problem in field_problems]
-    if arguments.nozzle is not None and arguments.nozzle not in nozzles:
+    conditions, found = scene_gas.read({field: vars(arguments)[field] for field in (*_FIELDS, "bow_shock")})
+    problems = [f"--{_NAMES.sub(lambda name: _OPTIONS[name[0]], text).replace(' = ', ' ', 1)}" for text in found]
+    if arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
     for option in ("material", "substrate"):
         name = vars(arguments).get(option)
@@ -165,7 +166,7 @@ def _table(flow: "Flow", material: "Material", diameters: list[float], flights: 
             f"  {flight.temperature:>10.0f} K  {flight.t[-1] * 1e3:>7.2f} ms"
         )
     notes = melting(material, diameters, [float(f.T.max()) for f in flights], [f.temperature for f in flights])
-    notes += [*flow.notes, *([f"assumed values of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
+    notes += flow.notes
     wrapped = [textwrap.fill(note, 110, initial_indent="  note: ", subsequent_indent=" " * 8) for note in notes]
     return [*lines, "", *wrapped] if notes else lines
 

@@ -155,7 +155,7 @@ def line_of(text: str, problem: str) -> str:
 
 def parse_json(text: str) -> object:
     """The data of a JSON text. Raises ValueError if it is damaged or nested too deeply, or for a number that is not finite."""
-    return _parsed(partial(json.loads, parse_constant=_no_constant, parse_float=_finite), text)
+    return _parsed(partial(json.loads, parse_constant=_finite, parse_float=_finite), text)
 
 
 def read_json_object(path: str | Path) -> dict[str, object]:
@@ -199,14 +199,10 @@ def leaves(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, 
             yield above + name, value
 
 
-def _no_constant(name: str) -> None:
-    raise ValueError(f"{name} is not a number")
-
-
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"the number {text[:20]} is too large")
+        raise ValueError(f"{text[:20]} is not a number or too large")
     return value
 
 

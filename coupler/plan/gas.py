@@ -4,11 +4,10 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
-from pydantic_core import ErrorDetails
-
 from .. import units
 from ..errors import ColdsprayError
 from ..physics.materials import Material
+from ..scene.messages import in_words
 from ..scene.model import MOST_IMPACTS, SceneData, particle_tables
 from ..scene.tables import DIAMETER, GasConditions, Particle, read_table
 from ..spray import nozzles
@@ -24,11 +23,10 @@ _INDENT = " " * 13
 _UNITS = {"velocity": ("m/s", 4), "temperature": ("K", 4)}  # unit and digits; the model is accurate to a few per cent
 
 
-def read(table: object) -> tuple[GasConditions | None, list[tuple[str, str]]]:
-    """Read gas conditions from texts with units. Returns (conditions, problems). A problem is a field and a text; if there are
-    problems, conditions is None."""
+def read(table: object) -> tuple[GasConditions | None, list[str]]:
+    """Read gas conditions from texts with units. Returns (conditions, problems). If there are problems, conditions is None."""
     conditions, entries = read_table(GasConditions, table)
-    return conditions, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
+    return conditions, [in_words(entry, False, GasConditions) for entry in entries]
 
 
 def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
@@ -110,12 +108,9 @@ def describe(scene: SceneData) -> list[str]:
     if len(scene.particles) == 1:
         lines = [f"{head} {gives[0]}"]
     shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
-    notes = (
-        [f"drag and heat are those of the sphere of equal volume, not of the shape {', '.join(shapes)}"]
-        if shapes
-        else []
-    )
-    notes += [*flow(c, nozzle).notes, *([f"assumed values of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
+    notes = flow(c, nozzle).notes
+    if shapes:
+        notes.insert(0, f"drag and heat are those of the sphere of equal volume, not of the shape {', '.join(shapes)}")
     return lines + [_INDENT + line for note in notes for line in textwrap.wrap(note, 110 - len(_INDENT))]
 
 
@@ -128,15 +123,6 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
     used = f"the scene's own {' and '.join(of_scene[field] for field in away)} used instead" if away else "used here"
     which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
     return f"{which}gives {arriving['velocity']}, {arriving['temperature']}, {used}"
-
-
-def _in_words(entry: ErrorDetails) -> str:
-    """Convert an error of pydantic to a message about an option of the command line."""
-    if entry["type"] == "missing":
-        return "is missing"
-    if entry["type"] == "literal_error":
-        return f"must be {entry['ctx']['expected']}"
-    return str(entry["ctx"]["error"]) if entry["type"] == "value_error" else entry["msg"]
 
 
 def _diameter(particle: Mapping[str, object]) -> float | None:

@@ -36,22 +36,16 @@ class AccuracyError(ColdsprayError):
     """No resolution reaches the requested accuracy or time. The message gives the nearest possible value."""
 
 
-def at_points(
-    scene: Scene, points: int, changes: Mapping[str, object] | None = None, element: float | None = None
-) -> Scene:
+def at_points(scene: Scene, points: int, changes: Mapping[str, object] | None = None) -> Scene:
     """The scene with about this number of points in its largest particle, and with the same ratio of element sizes to the spacing.
-    changes: changes of other keys; element: smallest edge of the target's elements divided by the spacing, by default the ratio of
-    the scene. Raises SceneError if the spacing is too large for the scene."""
+    changes: changes of other keys. Raises SceneError if the spacing is too large for the scene."""
     data = tomllib.loads(scene.to_toml()) | dict(changes or {})
     spacing = cost.spacing(max(p.volume for p in scene.particles), points)
     ratio = spacing / scene.derived.spacing
-    sizes = {"resolution": scene.resolution.element_size, "splat": scene.splat.element_size}
-    lengths = {table: ratio * size for table, size in sizes.items() if size is not None}
-    if element is not None:
-        lengths["resolution"] = element * spacing
     data.setdefault("resolution", {})["spacing"] = f"{spacing * 1e6!r} um"
-    for table, size in lengths.items():
-        data[table]["element_size"] = f"{size * 1e6!r} um"
+    for table, size in {"resolution": scene.resolution.element_size, "splat": scene.splat.element_size}.items():
+        if size is not None:
+            data[table]["element_size"] = f"{ratio * size * 1e6!r} um"
     return Scene.from_dict(data, scene.name)
 
 

@@ -276,7 +276,7 @@ class Flow:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on limits of validity of this flow."""
+        """Notes on limits of validity of this flow, and on assumed values of its nozzle."""
         notes, end = [], self.exit_pressure / self.ambient
         if end < SEPARATES:
             notes.append(
@@ -287,4 +287,4 @@ class Flow:
             notes.append(
                 f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet is slower there"
             )
-        return notes
+        return notes + ([f"assumed values of the nozzle: {self.nozzle.assumed}"] if self.nozzle.assumed else [])

@@ -25,7 +25,7 @@ from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
 from ..scene.toml import toml_text
-from .runs import Log, how_ended, reason_of, run_point, run_points
+from .runs import Log, how_ended, results
 from .table import write_rows
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, default limits of the search
@@ -316,13 +316,9 @@ def rows_at(scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: 
     """Compute `repeat` placements at a velocity (m/s), `jobs` at the same time, unless they are already in the folder. Returns their
     rows. An undecided run continues once, for the same time again. Raises StoreError if a run fails."""
     points = {point_name(velocity, k): at_velocity(scene, velocity, k) for k in range(repeat)}
-    ended = run_points(folder, points, jobs, log if repeat > 1 else lambda _: None)
-    for name, text in points.items():
-        status = ended[name]
-        if status == "undecided":
-            status = str(run_point(folder, name, text, again=True)["status"])
-        if status not in ("done", "undecided"):
-            raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason_of(folder, name)}")
+    _, failed = results(folder, points, jobs, log if repeat > 1 else lambda _: None, again=True)
+    for reason in failed.values():
+        raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
     return [_row(folder / name, velocity, k) for k, name in enumerate(points)]
 
 

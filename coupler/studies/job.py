@@ -157,7 +157,6 @@ def _assumed(job: Job) -> list[str]:
     texts = [f"spray.{key} = {value}: an assumed value" for key, value in known.items() if key not in raw]
     if isinstance(job.data.powder.sizes, tuple) and len(job.data.powder.sizes) == 2:
         texts.append("5 % of the powder's mass below and 5 % above the sieves, log-normal between them")
-    texts += [f"nozzle {job.nozzle.name}: {job.nozzle.assumed}"] if job.nozzle.assumed else []
     return [
         *texts,
         *job.flow.notes,

@@ -34,9 +34,14 @@ _STATUS = {0: "done", 4: "undecided"}  # by exit code; all others: "failed"
 _running: set[subprocess.Popen[str]] = set()  # of this process
 
 
-def results(folder: Path, points: Mapping[str, str], jobs: int, log: Log) -> tuple[dict[str, Result], dict[str, str]]:
-    """Run the points of a folder as in `run_points`. Returns the result of each point, or the reason why a point has none."""
+def results(
+    folder: Path, points: Mapping[str, str], jobs: int, log: Log, again: bool = False
+) -> tuple[dict[str, Result], dict[str, str]]:
+    """Run the points of a folder as in `run_points`. Returns the result of each point, or the reason why a point has none. again: an
+    undecided run continues once, for the same time again."""
     statuses = run_points(folder, points, jobs, log)
+    for point in [point for point, status in statuses.items() if status == "undecided" and again]:
+        statuses[point] = str(compute(folder / f"{point}.toml")["status"])
     found = {point: Result(folder / point) for point, status in statuses.items() if status in _STATUS.values()}
     reasons = {point: reason_of(folder, point) for point in statuses if point not in found}
     return found, reasons
@@ -96,10 +101,9 @@ def run_points(
     return statuses
 
 
-def run_point(folder: Path, point: str, text: str, again: bool = False, threads: int = 1) -> dict[str, object]:
-    """Run a scene (TOML) as a point of a folder, unless it already has a status. Returns its status as `compute` does. again:
-    continue a run that is undecided."""
-    ended = None if again else _kept(folder, point, text)
+def run_point(folder: Path, point: str, text: str, threads: int = 1) -> dict[str, object]:
+    """Run a scene (TOML) as a point of a folder, unless it already has a status. Returns its status as `compute` does."""
+    ended = _kept(folder, point, text)
     return compute(write_scene(folder, point, text), threads) if ended is None else ended
 
 
