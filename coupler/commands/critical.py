@@ -38,7 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
     from ..plan.planning import plan
     from ..plan.refinement import at_points, companions
     from ..studies import critical
-    from ..studies.critical_figure import draw
     from ..studies.table import write_rows
 
     scene = scene_of(arguments)
@@ -60,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             say(f"measuring the error of the resolution: the same search with {points} points")
             coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
     error = critical.resolution_error(scene, bracket, coarser)
-    draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
+    critical.draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)
     if bracket.velocity is None and (slowest := critical.slowest_rebound(rows)) is not None:
         print(f"slowest rebound: {slowest}")

@@ -14,7 +14,7 @@ from ..errors import ColdsprayError, WorkerError
 from ..impact.run import RunOptions
 from ..impact.stop import Stopped, stop_signals
 from ..plan.batches import Batch
-from ..plan.forecast import forecast
+from ..plan.cost import forecast
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.cut import Cut, cut_out

@@ -20,7 +20,7 @@ from ..impact.recorder import VTK_ORDER, cell_fields, joint_fields
 from ..impact.run import RunOptions
 from ..impact.summary import ImpactRecord
 from ..plan.batches import Batch
-from ..plan.forecast import forecast
+from ..plan.cost import forecast
 from ..plan.planning import Plan
 from ..plan.record import plan_text
 from ..target.bodies import Bodies, BodiesState

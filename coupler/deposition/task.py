@@ -1,10 +1,13 @@
 """One impact on its sub-domain of the target, computed in any process; it continues from its last checkpoint."""
 
+import math
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from ..core.threads import at_least, threads_of
 from ..errors import ColdsprayError, NoContactError, SolverError
@@ -14,16 +17,17 @@ from ..files.summary import Values
 from ..impact.domains import restored_target
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
+from ..particle.inertia import ENOUGH
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..target.bodies import BodiesState
+from ..target.bodies import Bodies, BodiesState
 from ..target.domain import Point
 from .joining import join
-from .mass_scaling import prepare
 
 # files beside the folders of tasks; running tasks check them after each chunk of steps
 STOP = "stop"  # the tasks stop
 SPARE = "spare"  # number of threads for each task, greater when cores are idle
+SPRINGS = 2.5  # time step that the springs of contact must allow, over the sufficient step of a particle (ENOUGH)
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Task:
 class TaskResult:
     """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without a closing stage:
     the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined: reports of
-    `mass_scaling.prepare` and `join`; store: state of the files."""
+    `prepare` and `join`; store: state of the files."""
 
     bodies: BodiesState
     record: ImpactRecord
@@ -148,3 +152,25 @@ def run_alone(
     )  # fmt: skip
     with threads_of(options.threads):
         return attempt(task, options)
+
+
+def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
+    """Prepare bodies at rest for impact i, against the growth of the cost with the number of impacts. place: impact point, m, from
+    which the bodies are numbered outwards. Returns entries of the report.
+
+    A few strongly deformed elements of splats would determine the time step of all later impacts: inertia is added to their
+    deformation (`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact
+    is not computed: it is in equilibrium and acts as an elastic body (`Target.set_window`).
+    """
+    report: Values = {}
+    if i and plan.mass_scaling:
+        p = plan.impacts[i]
+        most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3
+        bodies.target.inertia.most = most
+        if bodies.contact is not None:
+            step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
+            report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.pairs.mass_for(step), most)
+    within = bodies.target.set_window(plan.impacts[i].window, np.array(place))
+    if within < len(bodies.target.mesh.conn):
+        report |= {"window_m": plan.impacts[i].window, "elements_in_window": within}
+    return report

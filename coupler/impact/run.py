@@ -11,7 +11,7 @@ from ..contact.particle_bonds import ParticleBonds
 from ..core.records import copied, put
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
-from ..plan.forecast import forecast
+from ..plan.cost import forecast
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks

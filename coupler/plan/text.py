@@ -6,7 +6,7 @@ from textwrap import fill
 
 from .. import units
 from . import cost as estimates
-from .forecast import forecast
+from .cost import forecast
 from .model import ImpactPlan, Plan, TargetPlan
 from .remarks import BEYOND_FIT
 

@@ -19,7 +19,7 @@ from ..files.outputs import write_text
 from ..files.provenance import processor
 from ..measures import CONVERGING, MEASURES
 from ..plan import refinement
-from ..plan.forecast import forecast
+from ..plan.cost import forecast
 from ..plan.model import Plan
 from ..plan.text import duration
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from coupler.errors import SceneError
-from coupler.plan.forecast import forecast
+from coupler.plan.cost import forecast
 from coupler.plan.job import Coatings, Job, Search, read, seconds, sets_of
 from coupler.plan.planning import plan
 

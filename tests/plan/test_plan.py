@@ -15,12 +15,12 @@ from coupler.errors import StoreError
 from coupler.physics.materials import Material, material
 from coupler.plan import cost as estimates
 from coupler.plan import effects
-from coupler.plan.forecast import Forecast, forecast
+from coupler.plan.cost import Forecast, forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text, read_plan
 from coupler.plan.text import describe
-from coupler.scene.effects import NAMES, check_request
+from coupler.scene.effects import NAMES, requested
 
 WORKFLOWS = Path(__file__).parents[2] / "workflows"
 
@@ -303,7 +303,8 @@ def test_what_the_user_says_goes(request_, active):
 
 @pytest.mark.parametrize("request_", ["some", ["+-friction"], ["friction", "auto"], ["frictoin"], ["+x", "-x"]])
 def test_requests_that_make_no_sense(request_):
-    assert check_request(request_)
+    with pytest.raises(ValueError, match="expected one of|unknown effect|first element"):
+        requested(request_)
 
 
 def test_warns_near_melting():

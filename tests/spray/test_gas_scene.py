@@ -236,7 +236,7 @@ def test_commands_know_metals_and_nozzles_of_a_scene(capsys, tmp_path):
         (["--pressure", "8"], '--pressure "8" has no unit'),
         (["--nozzle", "D43PBI"], 'did you mean "D42PBI"'),
         (["--diameter", "0.1 um"], '--diameter "0.1 um" is outside 1 um to 200 um'),
-        (["--gas", "Ne"], "--gas \"Ne\" must be 'N2', 'He' or 'air'"),
+        (["--gas", "Ne"], '--gas "Ne": expected one of N2, He, air'),
         (["--material", "Nj"], '--material "Nj": unknown material'),
         (["--pressure", "3 bar"], "at least 4.604 bar"),
         (["--library", "absent.toml"], "absent.toml is missing"),

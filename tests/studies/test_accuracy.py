@@ -19,7 +19,7 @@ from coupler.errors import SolverError, StoreError
 from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
 from coupler.plan import refinement
-from coupler.plan.forecast import forecast
+from coupler.plan.cost import forecast
 from coupler.plan.planning import plan
 from coupler.studies import accuracy, pace, timing
 

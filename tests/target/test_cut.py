@@ -25,10 +25,9 @@ from coupler.core.records import copied, rows_of
 from coupler.core.threads import RANGES, share
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
-from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.replay import BatchReplay
 from coupler.deposition.run import resume, run
-from coupler.deposition.task import Task, attempt
+from coupler.deposition.task import Task, attempt, prepare
 from coupler.errors import WorkerError
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare as prepare_mesh
