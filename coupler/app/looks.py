@@ -57,7 +57,8 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
         if verb == "run":
             planned = plan(Scene.from_text(text, str(path)))
             lines = pace.lines(planned, here, verbose=False)
-            return Look(lines=_flat(lines), more=describe(planned, lines, brief=True))
+            flat = "\n".join(" ".join(line.split()) for line in lines.splitlines())
+            return Look(lines=flat, more=describe(planned, lines, brief=True))
         job = from_text(text, path)
         found = _gas(job)
         if not verb:
@@ -109,10 +110,6 @@ def _draw(folder: Path, steps: int, impact: int) -> None:
             picture.section_picture(Result(folder), folder / "live.png")
         if impact > 2:
             coating_growth.draw(coating_growth.growth(Result(folder)), folder / "live_growth.png")
-
-
-def _flat(lines: str) -> str:
-    return "\n".join(" ".join(line.split()) for line in lines.splitlines())
 
 
 def as_csv(columns: Mapping[str, Any]) -> str:

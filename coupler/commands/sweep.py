@@ -10,7 +10,6 @@ from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path
 
 if TYPE_CHECKING:
     from ..studies.distribution import Spread
-    from ..studies.runs_table import Row
     from ..studies.sweep import Sweep
 
 _PLANNED = 20  # points whose plans represent all in the forecast
@@ -115,7 +114,9 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     lines += [f"  {row['point']}: {row['status']}: {str(row['reason'])[:160]}" for row in bad]
     measures = distribution.spreads(rows, keys) if sweep.is_ensemble else []
     if measures:
-        lines += ["", *_table(measures), _verdicts(rows), ""]
+        verdicts = sorted(row["verdict"] or UNDECIDED for row in rows if row["status"] in ("done", "undecided"))
+        told = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))
+        lines += ["", *_table(measures), f"verdicts: {told}", ""]
         distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
         heading = f"{sweep.name}: {count['done']} runs; line: median, shaded: 5 % to 95 %"
         distribution.draw_spreads(out / OUTPUTS[2], measures, heading)
@@ -137,8 +138,3 @@ def _table(measures: "Sequence[Spread]") -> list[str]:
         texts = ("-" if x is None else f"{m.factor * x:.4g}" for x in numbers)
         cells.append((m.label, str(len(spread.values)), *texts, m.unit, spread.strongest))
     return in_columns(cells, range(1, 8))
-
-
-def _verdicts(rows: "Sequence[Row]") -> str:
-    verdicts = [row["verdict"] or UNDECIDED for row in rows if row["status"] in ("done", "undecided")]
-    return "verdicts: " + ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(sorted(verdicts)))

@@ -186,12 +186,6 @@ def machine_memory() -> float:
         return math.inf
 
 
-def run_time(n_elements: float) -> float:
-    """Wall time of a run on one core apart from its time steps, s: for mesh, files and pictures, but not for the start of the
-    program."""
-    return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
-
-
 def step_time(steps: float, points: float, n_elements: float, engine: str) -> float:
     """Time of a number of steps on one core, s."""
     return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_POINT[engine] * points)
@@ -233,7 +227,8 @@ def forecast(plan: Plan) -> Forecast:
     ends = list(accumulate(map(sum, zip(looped, between, strict=True)), initial=0.0))
     whole = ends[-1] + SECONDS_PER_RUN
     shares = [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)]
-    time = sum(looped) + sum(between) + run_time(plan.target.elements_estimate)
+    meshed = SECONDS_PER_MESHED_ELEMENT * plan.target.elements_estimate
+    time = sum(looped) + sum(between) + SECONDS_PER_RUN + meshed
     return Forecast(steps, shares, time, memory(max(i.points for i in impacts), met[-1]), files, load / weight)
 
 

@@ -39,12 +39,6 @@ class Situation:
         both = (self.impact.material, self.impact.temperature), (self.base, self.scene.substrate.temperature)
         return [(m, T, heating(m, T, self.velocity)) for m, T in both]
 
-    @property
-    def is_exposed(self) -> bool:
-        """Whether the criterion of adhesion is "exposure" (of clean metal between cracked oxide films) and the engine computes
-        gradients of plastic strain."""
-        return self.scene.derived.adhesion_law.criterion == "exposure" and self.scene.resolution.engine != "machdyn"
-
     @cached_property
     def warm(self) -> float:
         """Temperature rise by heating, divided by the difference to the melting point; the larger value of the two bodies."""
@@ -152,7 +146,8 @@ EFFECTS = (
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
     """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene
     sets itself; True means on."""
-    exposed = any(situation.is_exposed for situation in situations)
+    scene = situations[0].scene
+    exposed = scene.derived.adhesion_law.criterion == "exposure" and scene.resolution.engine != "machdyn"
 
     def of(effect: Effect) -> Decision:
         value = max(map(effect.value, situations))

@@ -43,8 +43,8 @@ def results(
     for point in [point for point, status in statuses.items() if status == "undecided" and again]:
         statuses[point] = str(compute(folder / f"{point}.toml")["status"])
     found = {point: Result(folder / point) for point, status in statuses.items() if status in _STATUS.values()}
-    reasons = {point: reason_of(folder, point) for point in statuses if point not in found}
-    return found, reasons
+    ended = {point: how_ended(folder / f"{point}.json") or {} for point in statuses if point not in found}
+    return found, {point: str(status.get("reason") or "the run was stopped") for point, status in ended.items()}
 
 
 def run_points(
@@ -211,11 +211,6 @@ def how_ended(path: Path) -> dict[str, object] | None:
     except InputError:
         return None
     return ended if isinstance(ended.get("status"), str) else None
-
-
-def reason_of(folder: Path, point: str) -> str:
-    """Why a point of a folder has no result."""
-    return str((how_ended(folder / f"{point}.json") or {}).get("reason") or "the run was stopped")
 
 
 def status_text(ended: Mapping[str, object]) -> str:

@@ -117,7 +117,7 @@ def test_cost_grows_with_the_splats_that_join():
 
 def times_of(expected: Forecast, elements: int) -> tuple[list[float], list[float]]:
     """Time (s) of the steps of each impact, and of what lies between it and the next."""
-    whole = expected.whole - estimates.run_time(elements) + estimates.SECONDS_PER_RUN
+    whole = expected.whole - estimates.SECONDS_PER_MESHED_ELEMENT * elements
     begins, own = ([whole * share for share in column] for column in zip(*expected.shares, strict=True))
     ends = [*begins[1:], whole - estimates.SECONDS_PER_RUN]
     return own, [end - begin - steps for begin, steps, end in zip(begins, own, ends, strict=True)]
@@ -303,7 +303,7 @@ def test_what_the_user_says_goes(request_, active):
 
 @pytest.mark.parametrize("request_", ["some", ["+-friction"], ["friction", "auto"], ["frictoin"], ["+x", "-x"]])
 def test_requests_that_make_no_sense(request_):
-    with pytest.raises(ValueError, match="expected one of|unknown effect|first element"):
+    with pytest.raises(ValueError, match=r"expected one of|unknown effect|first element"):
         requested(request_)
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from coupler.commands import sweep as sweep_command
 from coupler.core.executors import WITH_PARENT
 from coupler.errors import InterruptedRunError, SceneError
 from coupler.plan.reading import Scene
+from coupler.scene.toml import toml_text
 from coupler.studies import runs as study_runs
 from coupler.studies.runs_table import table
 from coupler.studies.sweep import Sweep
@@ -211,13 +213,9 @@ def test_the_distribution_of_the_measures_is_the_result(tmp_path, capsys) -> Non
     """Flattening is made a straight function of velocity: its quantiles are those of the velocity, its rank correlation is one."""
     few = {**ENSEMBLE, "ensemble": {"runs": 24, "velocity": {"mean": "600 m/s", "deviation": "40 m/s"}}}
     few["scene"]["particle"]["diameter"] = "25 um"  # type: ignore[index]
-    file = tmp_path / "scatter.json"
-    drawn = Sweep.from_dict(few)
-    text = ['name = "scatter"', *(f"scene.{line}" for line in next(iter(drawn.points.values())).splitlines())]
+    scene = tomllib.loads(next(iter(Sweep.from_dict(few).points.values())))
     file = tmp_path / "scatter.toml"
-    file.write_text(
-        "\n".join([*text, "[ensemble]", "runs = 24", 'velocity = { mean = "600 m/s", deviation = "40 m/s" }\n'])
-    )
+    file.write_text(toml_text({"name": "scatter", "scene": scene, "ensemble": few["ensemble"]}))
     drawn = Sweep.load(file)
     v = []
     for name in drawn.points:
