@@ -143,17 +143,11 @@ def share(text: str, option: str) -> float:
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
     """Make the folder of a study (--out, or runs/<verb>-<scene name>) and write the scene into it. Returns the folder. names: file
     names of the study. Raises StoreError if the folder holds the study of another scene."""
-    from ..files.inputs import parse_toml, read_toml
-    from ..files.outputs import claim_folder
+    from ..files.outputs import claim_folder, keep_toml
 
     out: Path = arguments.out or Path("runs") / f"{verb}-{scene.name}"
     claim_folder(out, verb, names, [arguments.scene], arguments.force)
-    kept, text = out / "scene.toml", scene.to_toml()
-    if not kept.exists():
-        out.mkdir(parents=True, exist_ok=True)
-        kept.write_text(text, encoding="utf-8")
-    elif read_toml(kept) != parse_toml(text):
-        raise StoreError(f"{out} holds the study of another scene: choose another folder with --out, or remove it")
+    keep_toml(out / "scene.toml", scene.to_toml(), "study")
     return out
 
 

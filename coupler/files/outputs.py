@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from ..errors import StoreError
+from .inputs import parse_toml, read_toml
 
 MARK = "written by coldspray"
 MARKER = ".coldspray"
@@ -134,6 +135,15 @@ def write_text(path: Path, text: str) -> None:
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None:
+    """Write the TOML text from which a folder is computed. but: keys that may change. Raises StoreError if the folder holds another
+    `what`: the file has other data."""
+    free = dict.fromkeys(but)
+    if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
+        raise StoreError(f"{path.parent} holds another {what}: choose another folder with --out, or remove this one")
+    write_text(path, text)
 
 
 def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:

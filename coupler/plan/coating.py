@@ -5,7 +5,7 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from statistics import NormalDist
 
@@ -167,6 +167,10 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     off = _cut_normal(dice.random())
     u, tilt = dice.random(), 180.0 * dice.random() - 90.0
     shape = "file" if fed.files else _shape(table, u)
+
+    def at_size(pairs: Sequence[tuple[float, float]]) -> float:  # (diameter m, value)
+        return float(np.interp(diameter, *np.array(pairs).T))
+
     particle: dict[str, object] = {
         "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
         "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
@@ -176,9 +180,9 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     if shape != "sphere":
         particle["tilt"] = f"{tilt:.1f} deg"
     if table.velocity is not None:
-        particle["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
+        particle["velocity"] = f"{at_size(table.velocity) + table.velocity_spread * off:.1f} m/s"
     if table.temperature is not None:
-        particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
+        particle["temperature"] = f"{at_size(table.temperature):.1f} K"
     if table.hardness is not None:
         particle["hardness"] = units.show(table.hardness, "HV")
     if table.yield_strength is not None:
@@ -187,15 +191,6 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
         particle |= {"porosity": table.porosity, "pore_diameter": units.show(table.pore_diameter, "um")}
         particle["pore_seed"] = int(2**31 * dice.random())
     return particle
-
-
-def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:
-    """The value at a diameter (m). It is interpolated linearly between the pairs (diameter in m, value), and constant outside
-    them."""
-    for (low, at_low), (high, at_high) in pairwise(pairs):
-        if low <= diameter <= high:
-            return at_low + (at_high - at_low) * (diameter - low) / (high - low)
-    return pairs[0][1] if diameter <= pairs[0][0] else pairs[-1][1]
 
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from pydantic_core import to_json
 from .. import __version__
 from ..errors import ColdsprayError
 from ..files.inputs import read_json_object
-from ..files.outputs import MARK, write_text
+from ..files.outputs import MARK, claim_folder, keep_toml, write_text
 from ..files.result import Result
 from ..measures import STICKS
 from ..plan.job import Coatings, Job, Search, seconds
@@ -28,11 +28,12 @@ from . import coating_files
 from .coating import read
 from .critical import Bracket
 from .job_numbers import BAND, Number, numbers, record
-from .job_parts import Bonds, Coating, bonds, coatings, efficiency, folder_of, search
+from .job_parts import Bonds, Coating, bonds, coatings, efficiency, search
 from .runs import Log
 from .trust import RULE
 
 PAGE, RECORD = "job.html", "job.json"
+FILES = "job.toml", RECORD, PAGE, "micrograph.png"
 SAFETY = 2.0  # a part begins, and a search goes on, if this many times its expected time is left
 
 
@@ -43,7 +44,8 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
     StoreError if the folder holds another job.
     """
-    folder_of(text, out)
+    claim_folder(out, "job", FILES)
+    keep_toml(out / FILES[0], text, "job", but=["within"])
     before: Any = read_json_object(out / RECORD).get("computed_s", {}) if (out / RECORD).exists() else {}
     sticks, end = job.arrived.fates()[STICKS] > 0.0, time.monotonic() + job.data.within
     usual, kind = 1.0, ""  # of a part: expected time of a round, s; its class

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import ColdsprayError, StoreError
-from ..files.inputs import parse_toml, read_toml
-from ..files.outputs import claim_folder, write_text
 from ..measures import STICKS
 from ..plan.job import Coatings, Job, Search
 from ..spray.window import EROSION, Spray
@@ -19,9 +17,6 @@ from . import critical
 from .coating import CoatingMeasures, measure
 from .coating import read as read_coating
 from .runs import Log, results
-
-FILES = ("job.toml", "job.json", "job.html", "micrograph.png")
-
 
 Range = tuple[float, float, float]  # value, least, greatest
 
@@ -68,16 +63,6 @@ class Coating:
     measures: Mapping[str, CoatingMeasures]
     failed: Mapping[str, str]
     properties: Mapping[str, Any] = field(default_factory=dict)
-
-
-def folder_of(text: str, out: Path) -> None:
-    """Write the text of a job into its folder `out`. Raises StoreError if the folder holds a job that differs in other keys than
-    `within`."""
-    claim_folder(out, "job", FILES)
-    kept = out / FILES[0]
-    if kept.exists() and {**read_toml(kept), "within": ""} != {**parse_toml(text), "within": ""}:
-        raise StoreError(f"{out} holds another job: choose another folder with --out, or remove this one")
-    write_text(kept, text)
 
 
 def search(

@@ -28,7 +28,7 @@ def test_a_folder_keeps_to_its_scene(tmp_path):
     asked = argparse.Namespace(out=tmp_path / "a", scene=tmp_path / "scene.toml", force=False)
     for _ in range(2):
         assert study_folder(asked, scene_with(), "accuracy", ("scene.toml",)) == tmp_path / "a"
-    with pytest.raises(StoreError, match="the study of another scene"):
+    with pytest.raises(StoreError, match="holds another study"):
         study_folder(asked, scene_with(particle__velocity="501 m/s"), "accuracy", ("scene.toml",))
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from coupler.commands.main import main
 from coupler.errors import StoreError
+from coupler.files.outputs import keep_toml
 from coupler.physics.adhesion import PairFormula
 from coupler.plan.job import Coatings, Job, Search, read
 from coupler.spray.window import Spray
@@ -20,7 +21,7 @@ from coupler.studies import critical, job_parts
 from coupler.studies import job as study
 from coupler.studies.critical import Bracket
 from coupler.studies.job_numbers import answer, numbers
-from coupler.studies.job_parts import Bonds, Coating, efficiency, folder_of, thickness
+from coupler.studies.job_parts import Bonds, Coating, efficiency, thickness
 from coupler.studies.pace import Pace
 from coupler.studies.trust import RED
 
@@ -115,10 +116,11 @@ def test_a_coating_has_the_stiffness_of_its_seeds_where_its_block_is_large_enoug
 
 
 def test_a_folder_has_one_job_and_any_time(tmp_path: Path) -> None:
-    folder_of(TEXT, tmp_path / "out")
-    folder_of(TEXT.replace("30 min", "2 h"), tmp_path / "out")
+    kept = tmp_path / "job.toml"
+    keep_toml(kept, TEXT, "job", ["within"])
+    keep_toml(kept, TEXT.replace("30 min", "2 h"), "job", ["within"])
     with pytest.raises(StoreError, match="holds another job"):
-        folder_of(TEXT.replace("500 degC", "600 degC"), tmp_path / "out")
+        keep_toml(kept, TEXT.replace("500 degC", "600 degC"), "job", ["within"])
 
 
 class Time:
