@@ -16,7 +16,7 @@ from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import describe, duration
 from ..report import picture, screen
-from ..studies import coating_growth, pace
+from ..studies import coating, coating_files, pace
 from ..studies.job_numbers import Number, numbers
 from ..studies.job_parts import Coating
 from . import figures
@@ -109,7 +109,7 @@ def _draw(folder: Path, steps: int, impact: int) -> None:
         if steps:
             picture.section_picture(Result(folder), folder / "live.png")
         if impact > 2:
-            coating_growth.draw(coating_growth.growth(Result(folder)), folder / "live_growth.png")
+            coating_files.draw_growth(coating.growth(Result(folder)), folder / "live_growth.png")
 
 
 def as_csv(columns: Mapping[str, Any]) -> str:

@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..files.result import Result
     from ..plan.reading import Scene
     from ..report.picture import stage
-    from ..studies import coating, coating_files, coating_growth, coating_seeds, spread
+    from ..studies import coating, coating_files, coating_seeds, spread
 
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         measures = coating_seeds.measured(result, splats, arguments.window)
         coating_files.write_measures(folder, measures)
         progress.stage("measuring the growth of the coating")
-        coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))
+        coating_files.write_growth(folder, coating.growth(result, arguments.window))
         progress.stage("drawing pictures and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.DISC

@@ -67,9 +67,9 @@ def _coating(run: Path, impact: int) -> str:
     """A line break and a text line about the coating before an impact; "" before the second impact. The text is cached, because the
     coating changes only between impacts."""
     from ..files.result import Result
-    from ..studies import coating_growth
+    from ..studies.coating import growth_line, latest
 
-    return f"\n  coating {coating_growth.line(coating_growth.latest(Result(run)))}" if impact > 1 else ""
+    return f"\n  coating {growth_line(latest(Result(run)))}" if impact > 1 else ""
 
 
 def _written(path: Path) -> float:

@@ -24,9 +24,12 @@ DISC = 0.6  # radius of the measured disc over the radius of the patch on which 
 # splat element sizes: thinner voids cannot be distinguished from the gap between facets and a round surface
 FINEST = 0.25
 SECTORS = 8  # of the disc, for the standard error of a mean
+COARSE = 2.0  # distance of the columns for a row of the growth table, over their distance for the final measures
+MOST = 60  # rows of the growth table
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 FATES = {EMBEDDED: "embedded", REBOUNDS: "bounced", BROKEN: "broken"}  # verdicts on ceramic particles, and words
 NO_SEEDS = "not measured: compute three other seeds with coldspray coating DIR --seeds 3"
+Growth = dict[str, float]  # see `growth_row`
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
 
@@ -323,3 +326,40 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
             means |= {"sigma_p5": float(low), "sigma_p95": float(high)}
             rows.append({"z_m": (number + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
     return rows
+
+
+def growth(result: Result, radius: float | None = None) -> list[Growth]:
+    """A row (see `growth_row`) for each finished impact, at most MOST rows. radius (m): of the measured disc; default: the disc of
+    the coating."""
+    built = read(result)
+    radius = radius or disc_radius(built)
+    finished = len(built.mass)
+    numbers = np.unique(np.linspace(2, finished, min(MOST, finished) - 1).round().astype(int))
+    rows = [growth_row(read(result, number), radius) for number in numbers.tolist()]
+    return [*rows, growth_row(built, radius)]
+
+
+def latest(result: Result) -> Growth:
+    """The row after the impacts that are finished so far. Raises StoreError if no impact is finished."""
+    number = int(result.history("impact").max(initial=0.0))
+    if number < 2:
+        raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
+    built = read(result, number)
+    return growth_row(built, disc_radius(built))
+
+
+def growth_row(built: Splats, radius: float) -> Growth:
+    """A row of the growth table. impacts: number of finished impacts; splats: number of splats in the coating; deposition_efficiency;
+    measures of `coating.shape`."""
+    counts = {"impacts": len(built.mass), "splats": float(np.count_nonzero(built.stayed))}
+    measures = shape(built, radius, COARSE * COLUMN * built.element_size)
+    return {**counts, "deposition_efficiency": built.deposition_efficiency, **measures}
+
+
+def growth_line(now: Growth) -> str:
+    """A row of the growth table as a text line."""
+    return (
+        f"after impact {now['impacts']:.0f}: splats {now['splats']:.0f}, thickness {now['thickness_mean_m'] * 1e6:.1f} um"
+        f" (bare {now['bare_share']:.0%}), Sa {now['Sa_m'] * 1e6:.1f} um, porosity {now['porosity_closed']:.1%} closed,"
+        f" {now['porosity_open']:.1%} open, deposition efficiency {now['deposition_efficiency']:.0%}"
+    )

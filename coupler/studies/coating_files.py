@@ -21,8 +21,7 @@ from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
-from .coating import CoatingMeasures
-from .coating_growth import Row, draw
+from .coating import CoatingMeasures, Growth
 from .splats import Splats
 from .table import write_rows
 
@@ -45,11 +44,11 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
     return paths
 
 
-def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
+def write_growth(folder: Path, rows: list[Growth]) -> list[Path]:
     """Write coating_growth.csv and growth.png: the measures of the coating after each impact. Returns the paths. Raises
     StoreError."""
     write_rows(folder / "coating_growth.csv", list(rows[0]), rows)
-    return [folder / "coating_growth.csv", draw(rows, folder / "growth.png")]
+    return [folder / "coating_growth.csv", draw_growth(rows, folder / "growth.png")]
 
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
@@ -175,3 +174,23 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     except OSError as error:
         raise StoreError(f"cannot write {error.filename}: {error.strerror}") from error
     return paths
+
+
+def draw_growth(rows: list[Growth], path: Path) -> Path:
+    """Draw thickness with its range, roughness and porosity against the number of impacts, as PNG. Returns the path."""
+    impacts = [each["impacts"] for each in rows]
+    um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
+    share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}
+    figure = blank(5.0, 5.5, 160, "constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.fill_between(impacts, um["thickness_min_m"], um["thickness_max_m"], color="0.88", label="smallest to largest")
+    above.plot(impacts, um["thickness_mean_m"], "o-", color="black", markersize=3, label="mean thickness")
+    above.plot(impacts, um["Sa_m"], color="#0072b2", label="roughness Sa")
+    above.set(ylabel="µm", ylim=(0.0, None))
+    below.plot(impacts, share["porosity_closed"], "o-", color="#d55e00", markersize=3, label="closed")
+    below.plot(impacts, share["porosity_open"], color="#0072b2", label="open")
+    below.set(xlabel="impacts", ylabel="porosity (%)", ylim=(0.0, None))
+    for axis in (above, below):
+        axis.legend(fontsize=8)
+    save(figure, path)
+    return path

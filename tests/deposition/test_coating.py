@@ -19,8 +19,9 @@ from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
 from coupler.report.picture import _most_cut
-from coupler.studies import coating_growth, coating_seeds
+from coupler.studies import coating, coating_seeds
 from coupler.studies.coating import (
+    growth,
     in_plane,
     lines,
     measure,
@@ -30,7 +31,6 @@ from coupler.studies.coating import (
     read,
 )
 from coupler.studies.coating_files import _seen, micrograph
-from coupler.studies.coating_growth import growth
 from coupler.studies.splats import Columns, Splats, roughness
 
 
@@ -230,8 +230,8 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
 @pytest.mark.parametrize(("finished", "rows"), [(1, 1), (60, 60), (500, 60)])
 def test_growth_over_many_impacts_has_sixty_rows(monkeypatch: pytest.MonkeyPatch, finished: int, rows: int) -> None:
     read = lambda _, number=finished + 1: SimpleNamespace(mass=np.zeros(number - 1))  # noqa: E731
-    monkeypatch.setattr(coating_growth, "read", read)
-    monkeypatch.setattr(coating_growth, "row", lambda built, _: {"impacts": len(built.mass)})
+    monkeypatch.setattr(coating, "read", read)
+    monkeypatch.setattr(coating, "growth_row", lambda built, _: {"impacts": len(built.mass)})
     numbers = [each["impacts"] for each in growth(None, 1.0)]  # type: ignore[arg-type]
     assert len(numbers) == len(set(numbers)) == rows
     assert (numbers[0], numbers[-1]) == (1, finished)
