@@ -5,10 +5,9 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..errors import ColdsprayError
 from ..files.result import Result
 from ..measures import CONVERGING, measure
-from ..physics import materials
+from ..plan.job import sets_of
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..report.words import errors_of, shown
@@ -39,13 +38,7 @@ def other_sets(scene: Scene) -> dict[str, str]:
     scenes = {}
     for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
         table = scene.materials.get(name, {})
-        try:
-            known = materials.entry(str(table.get("base", name)))
-        except ColdsprayError:
-            continue
-        if "law" in table:
-            continue
-        for choice in known.sets:
+        for choice in sets_of({key: value for key, value in table.items() if key != "strength"}, name):
             if choice != scene.derived.material(name).strength.set:
                 changed = {**data, "materials": {**scene.materials, name: {**table, "strength": choice}}}
                 scenes[f"{name} {choice}"] = Scene.from_dict(changed, scene.name).to_toml()
