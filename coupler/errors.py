@@ -51,14 +51,6 @@ class DependencyError(ColdsprayError):
     """A package that is missing or broken: the message gives its name and how to install it."""
 
 
-class PlacementError(ColdsprayError):
-    """An impossible arrangement of ranks or executors."""
-
-
-class WorkerError(ColdsprayError):
-    """A process of a run that was ended from outside."""
-
-
 class InterruptedRunError(ColdsprayError):
     """A run of a study that was stopped from outside: the next attempt continues it."""
 

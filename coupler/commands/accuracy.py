@@ -81,11 +81,12 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
     """Return the scene with the resolution that --within or --accuracy determines, and a text line about it. within, accuracy: texts
     of these options. If both are given, --accuracy determines the resolution, provided the time is sufficient. Raises ColdsprayError
-    for a text that is not a time or a percentage, AccuracyError if no resolution is possible."""
+    for a text that is not a time or a percentage, ColdsprayError if no resolution is possible."""
+    from ..errors import ColdsprayError
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan
-    from ..plan.refinement import LEAST, MOST, SHAPE, AccuracyError, at_points
+    from ..plan.refinement import LEAST, MOST, SHAPE, at_points
     from ..plan.text import duration
 
     limit = options.quantity("--within", "time")(within) if within else math.inf
@@ -102,19 +103,19 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     if asked is not None:
         if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
-            raise AccuracyError(
+            raise ColdsprayError(
                 f"--accuracy {accuracy} cannot be reached: the error of the shape with {MOST} points, the largest allowed number,"
                 f" is about {least:.2g} %; give a percentage of at least this value (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:
-            raise AccuracyError(
+            raise ColdsprayError(
                 f"--accuracy {accuracy} needs {points} points and about {duration(needed)} on this machine, which exceeds --within"
                 f" {within}: increase --within or --accuracy"
             )
     else:
         if (needed := takes(coarsest)) > limit:
-            raise AccuracyError(
+            raise ColdsprayError(
                 f"--within {within} is too short: with {coarsest} points, the smallest allowed number, this scene takes about"
                 f" {duration(needed)} on this machine; increase --within, or reduce [end] time"
             )

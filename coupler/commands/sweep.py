@@ -46,7 +46,7 @@ def _slurm_option(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..core.executors import executor
-    from ..errors import PlacementError, StoreError
+    from ..errors import ColdsprayError, StoreError
     from ..files.outputs import claim_folder
     from ..studies.runs import of_another_scene, run_points
     from ..studies.sweep import Sweep
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
     if arguments.slurm and arguments.executor != "slurm":
-        raise PlacementError(
+        raise ColdsprayError(
             f"--slurm: the executor is {arguments.executor}: leave --slurm out, or give --executor slurm"
         )
     claim_folder(out, "sweep", OUTPUTS, force=None)

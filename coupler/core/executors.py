@@ -17,7 +17,7 @@ from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import Any
 
-from ..errors import PlacementError
+from ..errors import ColdsprayError
 from ..units import nearest
 
 KINDS = ("processes", "mpi", "slurm")
@@ -43,7 +43,7 @@ def executor(
 
     folder: for logs of Slurm jobs. slurm: options by name: `cores` is the number of computations at a time in a job, `time` the limit
     of a job, all others are options of sbatch. starts_processes: the functions start processes themselves, so that `processes` uses
-    threads; otherwise MEMORY is added to the environment of this process. Raises PlacementError.
+    threads; otherwise MEMORY is added to the environment of this process. Raises ColdsprayError.
     """
     if kind == "processes":
         if starts_processes:
@@ -55,7 +55,7 @@ def executor(
         return _mpi()
     if kind == "slurm":
         return _slurm(count, folder, {**SLURM, **(slurm or {})})
-    raise PlacementError(f"unknown executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
+    raise ColdsprayError(f"unknown executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
 
 
 class _Processes(ProcessPoolExecutor):
@@ -101,7 +101,7 @@ def _mpi() -> Executor:
     from mpi4py.futures import MPIPoolExecutor
 
     if MPI.COMM_WORLD.Get_size() < 2:
-        raise PlacementError(
+        raise ColdsprayError(
             "the executor mpi needs two ranks or more: mpiexec -n N python -m mpi4py.futures -m coupler sweep ... --executor mpi"
         )
     pool: Executor = MPIPoolExecutor(main=False)
@@ -112,7 +112,7 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     """Executor that uses pilot jobs of Slurm (Babuji et al. 2019, doi:10.1145/3307681.3325400). Each job computes until no
     computation is left or its time limit is reached."""
     if shutil.which("sbatch") is None:
-        raise PlacementError(
+        raise ColdsprayError(
             "the executor slurm needs the command sbatch, which is not installed on this machine: use a Slurm"
             " cluster, or another --executor"
         )
@@ -123,15 +123,15 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         from parsl.launchers import SimpleLauncher
         from parsl.providers import SlurmProvider
     except ModuleNotFoundError as error:
-        raise PlacementError("the executor slurm needs Parsl: pip install coldspray[cluster]") from error
+        raise ColdsprayError("the executor slurm needs Parsl: pip install coldspray[cluster]") from error
     cores = options.pop("cores")
     if not (cores.isdecimal() and int(cores) > 0):
-        raise PlacementError(
+        raise ColdsprayError(
             f"--slurm cores={cores}: give the number of runs at the same time in one Slurm job, a whole number of at least 1"
         )
     at_once, time = min(int(cores), count), options.pop("time")
     if not re.fullmatch(r"\d+:\d\d:\d\d", time):
-        raise PlacementError(f"--slurm time={time}: give hours, minutes and seconds, such as 04:00:00")
+        raise ColdsprayError(f"--slurm time={time}: give hours, minutes and seconds, such as 04:00:00")
     provider = SlurmProvider(
         partition=options.pop("partition", None),
         account=options.pop("account", None),

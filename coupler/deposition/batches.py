@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.executors import executor
-from ..errors import ColdsprayError, WorkerError
+from ..errors import ColdsprayError
 from ..impact.run import RunOptions
 from ..impact.stop import Stopped, stop_signals
 from ..plan.batches import Batch
@@ -76,7 +76,7 @@ def side_by_side(
 
     Each task starts as soon as its sub-domain is made. The running tasks share the threads of the run; when tasks end, the file SPARE
     gives their threads to the others. The file STOP stops all tasks. meanwhile(): called once while the tasks run. Raises Stopped after
-    a signal, WorkerError if a process is ended from outside.
+    a signal, ColdsprayError if a process is ended from outside.
     """
     begun = list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
     stop, spare = folder / STOP, folder / SPARE
@@ -106,7 +106,7 @@ def side_by_side(
             return [Done(task, cut, future.result()) for task, cut, future in begun]
         except BrokenExecutor as error:
             which = f"impacts {begun[0][0].i + 1} to {begun[-1][0].i + 1}" if begun else "impacts"
-            raise WorkerError(
+            raise ColdsprayError(
                 f"a process that computed one of the {which} was ended from outside, perhaps because memory ran out. The results so"
                 f" far are stored: continue with coldspray resume {folder.parent}, with fewer --jobs if memory is short"
             ) from error

@@ -20,7 +20,7 @@ _MOST_ROWS = 1000  # of a matrix; of larger ones, blocks are averaged
 
 def read_heights(path: Path) -> Surface:
     """Points (n,3) and triangles (m,3) of a surface in a file, in its units: the pitch of a matrix is 1, and heights of images of
-    integers are 0 (black) to 1 (white). The first row of a matrix has the largest y. Raises InputError, LimitError."""
+    integers are 0 (black) to 1 (white). The first row of a matrix has the largest y. Raises InputError, StoreError."""
     kind, size = path.suffix.lower(), check_regular(path)
     if kind in SURFACES:
         x, triangles = read_surface(path)

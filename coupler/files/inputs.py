@@ -44,10 +44,6 @@ class InputError(StoreError):
         return type(self), (self.path, self.reason)
 
 
-class LimitError(StoreError):
-    """Error: there is not enough memory, address space or file descriptors."""
-
-
 def check_regular(path: str | Path) -> int:
     """Size of a regular file, bytes. Raises InputError if the path is missing, a folder, a pipe, a device or a loop of links."""
     try:
@@ -227,9 +223,9 @@ def free_memory() -> int:
 
 
 def require_memory(needed: float, purpose: str) -> None:
-    """Raise LimitError if `needed` bytes are not free. purpose: for the message, such as "to read cloud.npz"."""
+    """Raise StoreError if `needed` bytes are not free. purpose: for the message, such as "to read cloud.npz"."""
     if needed > 2**20 and needed > (free := free_memory()):
-        raise LimitError(
+        raise StoreError(
             f"not enough memory {purpose}: about {_bytes(needed)} are needed, {_bytes(free)} are free;"
             " use a machine with more memory, raise the limit (ulimit -v, cgroup), or use a smaller file"
         )
@@ -238,7 +234,7 @@ def require_memory(needed: float, purpose: str) -> None:
 @contextmanager
 def bounded_memory() -> Iterator[None]:
     """Context in which an allocation beyond the free memory raises MemoryError, so that the system does not kill processes. It sets the
-    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises LimitError if the limits of the process are too small
+    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises StoreError if the limits of the process are too small
     for the libraries."""
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -260,7 +256,7 @@ def _check_own_limits() -> None:
         wanted = _LEAST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_LEAST_DESCRIPTORS, hard)
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         if wanted < _LEAST_DESCRIPTORS:
-            raise LimitError(
+            raise StoreError(
                 f"only {hard} open files are allowed, but {_LEAST_DESCRIPTORS} are needed: raise it with ulimit -n"
             )
     for limit, least, words, option in (
@@ -268,7 +264,7 @@ def _check_own_limits() -> None:
         (resource.RLIMIT_AS, _LEAST_ADDRESS_SPACE, "the address space is limited", "-v"),
     ):
         if 0 <= (bound := resource.getrlimit(limit)[0]) < least:
-            raise LimitError(f"{words} to {_bytes(bound)}, {_bytes(least)} are needed: raise ulimit {option}")
+            raise StoreError(f"{words} to {_bytes(bound)}, {_bytes(least)} are needed: raise ulimit {option}")
 
 
 def _cgroup() -> int:

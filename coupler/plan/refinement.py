@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..errors import ColdsprayError
 from . import cost
 from .reading import Scene
 
@@ -30,10 +29,6 @@ FORECAST = {
 TAIL_POINTS = 2000  # least points for the error of a 99th percentile: 20 of them are above it
 SHAPE = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")  # measures of --accuracy
 LEAST, MOST = 300, 64000  # limits of the points that --accuracy and --within choose
-
-
-class AccuracyError(ColdsprayError):
-    """No resolution reaches the requested accuracy or time. The message gives the nearest possible value."""
 
 
 def at_points(scene: Scene, points: int, changes: Mapping[str, object] | None = None) -> Scene:

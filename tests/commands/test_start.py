@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from coupler.errors import PlacementError
+from coupler.errors import ColdsprayError
 from coupler.particle.start import whole_process
 
 HALF = """
@@ -26,7 +26,7 @@ assert locale.localeconv()["decimal_point"] == ","
 
 def test_a_process_computes_one_run_at_a_time() -> None:
     """A second one, in another thread, would share its standard output: refused, and possible once the first is over."""
-    with whole_process(), pytest.raises(PlacementError, match="in its own process"), whole_process():
+    with whole_process(), pytest.raises(ColdsprayError, match="in its own process"), whole_process():
         pass
     with whole_process():
         pass

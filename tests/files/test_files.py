@@ -19,7 +19,7 @@ from coupler.commands.main import main
 from coupler.deposition.run import resume
 from coupler.errors import SceneError, StoreError
 from coupler.files import checkpoint, inputs
-from coupler.files.inputs import InputError, LimitError, parse_json, parse_toml
+from coupler.files.inputs import InputError, parse_json, parse_toml
 from coupler.files.outputs import MARK, claim_file, claim_folder, is_ours
 from coupler.files.result import Result
 from coupler.files.store import Store, StoreState
@@ -259,7 +259,7 @@ def test_an_archive_is_held_against_the_free_memory(tmp_path: Path, capsys: pyte
     bomb(tmp_path / "a.npz")
     assert main(["mesh", str(tmp_path / "a.npz")]) == 2
     assert "out of memory: Unable to allocate 2.18 TiB" in message(capsys)
-    with pytest.raises(LimitError, match="to try"):
+    with pytest.raises(StoreError, match="to try"):
         inputs.require_memory(1e15, "to try")
 
 

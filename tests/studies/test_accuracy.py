@@ -15,7 +15,7 @@ from study_table import read_rows
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
 from coupler.commands.arguments import study_folder
-from coupler.errors import SolverError, StoreError
+from coupler.errors import ColdsprayError, SolverError, StoreError
 from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
 from coupler.plan import refinement
@@ -45,7 +45,7 @@ def test_within_takes_the_finest_there_is_time_for():
     assert f"{made.derived.points} points" in said
     assert made.derived.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.derived.spacing)
     assert command.chosen(scene, "5 min", None)[0].derived.points > made.derived.points
-    with pytest.raises(refinement.AccuracyError, match=r"--within 0\.5s is too short: with 300 points"):
+    with pytest.raises(ColdsprayError, match=r"--within 0\.5s is too short: with 300 points"):
         command.chosen(scene, "0.5s", None)
 
 
@@ -55,14 +55,15 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     made, said = command.chosen(scene_with(), None, f"{asked:.6f}%")
     assert made.derived.points == pytest.approx(3000, rel=0.05)
     assert "shape within" in said
-    with pytest.raises(refinement.AccuracyError, match="which exceeds --within 3s"):
+    with pytest.raises(ColdsprayError, match="which exceeds --within 3s"):
         command.chosen(scene_with(), "3s", f"{asked:.6f}%")
     unlike, _ = command.chosen(several({}, {"diameter": "15 um"}), None, "90%")
     assert unlike.derived.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
     pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
     assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * refinement.points_for(asked / 100)
     with pytest.raises(
-        refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be reached: the error of the shape with 64000 points"
+        ColdsprayError,
+        match=r"--accuracy 0\.01% cannot be reached: the error of the shape with 64000 points",
     ):
         command.chosen(scene_with(), None, "0.01%")
 

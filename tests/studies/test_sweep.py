@@ -19,7 +19,7 @@ from sweeps import SHARED, made, points, pretend
 from coupler.commands import main as cli
 from coupler.commands import sweep as sweep_command
 from coupler.core.executors import WITH_PARENT
-from coupler.errors import InterruptedRunError, SceneError
+from coupler.errors import ColdsprayError, InterruptedRunError, SceneError
 from coupler.plan.reading import Scene
 from coupler.scene.toml import toml_text
 from coupler.studies import runs as study_runs
@@ -271,7 +271,6 @@ def test_the_server_of_the_slurm_jobs_ends_with_the_sweep() -> None:
 
 def test_executors(tmp_path, monkeypatch) -> None:
     from coupler.core.executors import executor, own_environment
-    from coupler.errors import PlacementError
 
     for known, expected in (None, "glibc.malloc.hugetlb=1"), ("glibc.malloc.perturb=1", "glibc.malloc.perturb=1"):
         monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
@@ -283,12 +282,12 @@ def test_executors(tmp_path, monkeypatch) -> None:
             # Ctrl-C, which a terminal sends to all, ends none of them, and from their first moment: they inherit this
             assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    with pytest.raises(PlacementError, match=r'did you mean "slurm"'):
+    with pytest.raises(ColdsprayError, match=r'did you mean "slurm"'):
         executor("slum", 1, tmp_path)
-    with pytest.raises(PlacementError, match="two ranks or more"):
+    with pytest.raises(ColdsprayError, match="two ranks or more"):
         executor("mpi", 1, tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(PlacementError, match="sbatch, which is not installed"):
+    with pytest.raises(ColdsprayError, match="sbatch, which is not installed"):
         executor("slurm", 1, tmp_path)
     monkeypatch.setenv("PMI_RANK", "3")
     assert "PMI_RANK" not in own_environment()

@@ -28,7 +28,7 @@ from coupler.deposition import task as deposition_task
 from coupler.deposition.replay import BatchReplay
 from coupler.deposition.run import resume, run
 from coupler.deposition.task import Task, attempt, prepare
-from coupler.errors import WorkerError
+from coupler.errors import ColdsprayError
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare as prepare_mesh
 from coupler.files import checkpoint
@@ -442,7 +442,7 @@ def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monke
 
     monkeypatch.setattr(deposition_batches, "executor", lambda *arguments: Ended())
     with pytest.raises(
-        WorkerError, match=f"impacts 1 to 2 was ended from outside.*coldspray resume {tmp_path / 'out'}"
+        ColdsprayError, match=f"impacts 1 to 2 was ended from outside.*coldspray resume {tmp_path / 'out'}"
     ):
         run(Scene.from_text(SIDE, "x"), tmp_path / "out", quiet=True, jobs=2)
     assert checkpoint.stored(tmp_path / "out")
