@@ -45,7 +45,7 @@ def test_the_page_knows_units_limits_and_defaults() -> None:
     for row in (
         "| `diameter` | 1 um to 200 um | needed |",
         "| `preset` | `draft` `standard` `fine` | `standard` |",
-        "| `friction` | a number from 0 to 2 | `0.5` |",
+        "| `friction` | number 0 to 2 | `0.5` |",
         "| `standoff` | 1 mm to 500 mm | `30 mm` |",
         "| `offset` | two of -5000 um to 5000 um | `0 um`, `0 um` |",
     ):

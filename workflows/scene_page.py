@@ -150,16 +150,16 @@ def _values(entry: Entry) -> str:
     if choices[0] is not entry:
         return " or ".join(dict.fromkeys(_values(choice) for choice in choices))
     if "$ref" in entry:
-        return "a table"
+        return "table"
     if "enum" in entry:
         return " ".join(f"`{value}`" for value in entry["enum"])
     if "prefixItems" in entry:
         return f"two of {_values(entry['prefixItems'][0])}"
     if entry["type"] == "array":
-        return "tables" if "$ref" in entry["items"] else "a list of texts"
-    kinds = {"string": "a text", "number": "a number", "integer": "a whole number", "object": "a table"}
-    limits = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
-    bounds = (f"{word} {_written(entry[name])}" for name, word in limits.items() if name in entry)
+        return "tables" if "$ref" in entry["items"] else "list of texts"
+    kinds = {"string": "text", "number": "number", "integer": "whole number", "object": "table"}
+    limits = {"minimum": "", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+    bounds = (f"{word} {_written(entry[name])}".strip() for name, word in limits.items() if name in entry)
     return " ".join([kinds.get(entry["type"], "`true` `false`"), *bounds])
 
 
