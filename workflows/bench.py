@@ -1,18 +1,20 @@
 """What a step costs: python workflows/bench.py   # docs/tables/bench.csv
 
-Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines, and in an impact
-(medians; the rest: the fastest of several repeats). Machines differ: the column over_loop is the time over that of a reference loop
-in the same run. Rows of other versions stay in the table.
+Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines; an impact, and what threads gain in
+it up to --most (medians; the rest: the fastest of several repeats). Machines differ: the column over_loop is the time over that of a
+reference loop in the same run. Rows of other versions stay in the table.
 """
 
 import time
 import timeit
 from collections.abc import Callable
+from itertools import count, takewhile
 
 import numpy as np
 from pages import impact_tables, machine, options, reference, spacing_of, study
 from serial_share import Spent
 
+from coupler.core.cores import cores
 from coupler.core.threads import threads_of
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
@@ -125,44 +127,71 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
         p.close()
 
 
-def points(rows: list[tuple[str, float, str]], count: int) -> None:
-    """Microseconds per point and step of a real impact, and per element and step of its target."""
-    scene = Scene.from_dict(impact_tables("Ni", 25.0, 500.0, spacing=spacing_of(count)), "bench")
-    domains = build_domains(plan(scene))
-    p = domains.particle
-    impact = Impact(domains)
-    while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
+def begun(points: int) -> Impact:
+    """An impact of about so many points, 15 ns after the first contact: points flow, surfaces touch."""
+    scene = Scene.from_dict(impact_tables("Ni", 25.0, 500.0, spacing=spacing_of(points)), "bench")
+    impact = Impact(build_domains(plan(scene)))
+    while impact.time < 15e-9:
         advance_chunk(impact)
+    return impact
 
-    spent = Spent()
+
+def per_step(impact: Impact, now: Callable[[], float] = clock) -> float:
+    """Seconds per step of an impact, over STEPS steps or a little more."""
+    before, start = impact.particle.steps, now()
+    while impact.particle.steps < before + STEPS:
+        advance_chunk(impact)
+    return (now() - start) / (impact.particle.steps - before)
+
+
+def whole(rows: list[tuple[str, float, str]], points: int) -> None:
+    """Microseconds per point and step of a real impact, and per element and step of its target."""
+    impact = begun(points)
+    p, spent = impact.particle, Spent()
     for name in ("advance", "finish", "stable_dt"):
         setattr(impact.target, name, spent.timed("target", getattr(impact.target, name)))
 
-    def stretch() -> tuple[float, float]:
-        """Seconds per step of the target and of all else, over STEPS steps or a little more."""
+    def parts() -> tuple[float, float]:
+        """Seconds per step of the target and of all else."""
         spent.seconds.clear()
-        before, start = p.steps, clock()
-        while p.steps < before + STEPS:
-            advance_chunk(impact)
-        whole, steps, target = clock() - start, p.steps - before, spent.seconds["target"]
-        return target / steps, (whole - target) / steps
+        before = p.steps
+        seconds = per_step(impact)
+        target = spent.seconds["target"] / (p.steps - before)
+        return target, seconds - target
 
-    stretch()
-    target, others = np.median([stretch() for _ in range(2 * REPEATS)], axis=0)
+    parts()
+    target, others = np.median([parts() for _ in range(2 * REPEATS)], axis=0)
     rows.append(("points of the impact", float(p.n), ""))
     rows.append(("all but the target, in the impact", others / p.n * 1e6, "us per point and step"))
     rows.append(("target, in the impact", target / len(impact.target.mesh.conn) * 1e6, "us per element and step"))
-    p.local.close()
+    p.close()
+
+
+def threaded(rows: list[tuple[str, float, str]], points: int, most: int) -> None:
+    """Wall time of a step of a real impact on one thread over that on 2, 4 ... threads, in turn: other work slows down all alike."""
+    counts = list(takewhile(lambda n: n <= most, (2**k for k in count())))
+    with threads_of(counts[-1]):
+        impact = begun(points)
+    times: dict[int, list[float]] = {n: [] for n in counts}
+    for _ in range(REPEATS):
+        for n in counts:
+            with threads_of(n):
+                times[n].append(per_step(impact, time.perf_counter))
+    one, *more = (float(np.median(times[n])) for n in counts)
+    name = f"impact, {impact.particle.n} points, one thread over"
+    rows.extend((f"{name} {n}", one / seconds, "of wall time") for n, seconds in zip(counts[1:], more, strict=True))
+    impact.particle.close()
 
 
 def main() -> None:
     """Measure, print, record."""
-    a = options(__doc__, points=5000)
+    a = options(__doc__, most=cores())
     rows: list[tuple[str, float, str]] = []
     elements(rows)
-    for count in (1000, 5000, 16000):
-        engines(rows, count)
-    points(rows, a.points)
+    for points in (1000, 5000, 16000):
+        engines(rows, points)
+        threaded(rows, points, a.most)
+    whole(rows, 5000)
     loop = reference(clock) * 1e6
     table = study("bench", ("part", "version"), "make bench")
     for name, value, unit in rows:

@@ -7,9 +7,10 @@ The measurements, readings, bands and suspects are in measurements.toml. Each ru
 splats_4340.csv, coatings.csv or aluminium.csv that is not computed again. Nothing is fitted.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -53,31 +54,7 @@ SUSPECTS = {(name, f"{v:g}"): change for name, change in ALUMINIUM["suspects"].i
 BONDED = {"adhesion": {"kind": "cohesive", "criterion": "exposure"}}  # of the suspects with bonds
 
 
-@dataclass(frozen=True)
-class Case:
-    """One run. velocity m/s, diameter um; set: strength set of the metal; stiffness: factor on that of the contact."""
-
-    metal: str
-    set: str
-    velocity: float
-    diameter: float
-    target: str
-    preset: str = "draft"
-    stiffness: float = 1.0
-
-    @property
-    def key(self) -> tuple[str, ...]:
-        """As in the tables."""
-        return self.metal, self.set, f"{self.velocity:g}", self.preset, f"{self.stiffness:g}"
-
-    @property
-    def scene(self) -> Scene:
-        """The target is 6 diameters wide and 3 deep."""
-        size = 6.0 * self.diameter, 3.0 * self.diameter
-        tables = impact_tables(self.metal, self.diameter, self.velocity, self.target, size)
-        tables["substrate"]["bottom"] = "absorbing"
-        more = {"adhesion": {"kind": "none"}, "materials": {self.metal: {"strength": self.set}}}
-        return Scene.from_dict({"preset": self.preset, **tables, **more}, "experiment")
+Key = tuple[str, str, str, str, str]
 
 
 def in_window(velocity: float) -> bool:
@@ -86,49 +63,60 @@ def in_window(velocity: float) -> bool:
     return bool(low <= velocity <= high)
 
 
-def rebounds(preset: str) -> Iterator[Case]:
+def rebounds(preset: str) -> Iterator[Key]:
     """All measured velocities with all sets, those of the window first."""
     for inside in (True, False):
         for metal in METALS:
             for name in entry(metal).sets:
                 for v, _ in REBOUND[metal]["e"]:
                     if in_window(v) == inside:
-                        yield Case(metal, name, v, REBOUND[metal]["diameter_um"], metal, preset)
+                        yield metal, name, f"{v:g}", preset, "1"
 
 
-def fine() -> Iterator[Case]:
+def fine() -> Iterator[Key]:
     """Those of the window with more points, the first set of each metal first."""
-    cases = [case for case in rebounds("standard") if in_window(case.velocity)]
-    yield from sorted(cases, key=lambda case: case.set != next(iter(entry(case.metal).sets)))
+    keys = [key for key in rebounds("standard") if in_window(float(key[2]))]
+    yield from sorted(keys, key=lambda key: key[1] != next(iter(entry(key[0]).sets)))
 
 
-def band() -> Iterator[Case]:
+def band() -> Iterator[Key]:
     """A softer and a stiffer contact, with the first set."""
     for metal, velocities in PROBED.items():
-        for v in velocities:
-            for factor in STIFFNESS:
-                name = next(iter(entry(metal).sets))
-                yield Case(metal, name, v, REBOUND[metal]["diameter_um"], metal, stiffness=factor)
+        for v, factor in itertools.product(velocities, STIFFNESS):
+            yield metal, next(iter(entry(metal).sets)), f"{v:g}", "draft", f"{factor:g}"
 
 
-def splats() -> Iterator[Case]:
+def splats() -> Iterator[Key]:
     """Single particles on 4340 at the mean velocity, with all sets of the metals named."""
     for metal in SPLAT["computed"]:
         for name in entry(metal).sets:
-            yield Case(metal, name, SPLAT["velocity_m_s"], float(np.mean(SPLAT["diameter_um"])), SPLAT["target"])
+            yield metal, name, f"{SPLAT['velocity_m_s']:g}", "draft", "1"
 
 
-def row_of(case: Case) -> dict[str, object]:
-    """The run of a case as a row of the table."""
-    numerics = {} if case.stiffness == 1.0 else {"contact_stiffness": case.stiffness}
-    # the error of a splat is on the page
-    with computed(case.scene, numerics=numerics, error=case.target == SPLAT["target"]) as (result, cpu):
+def scene_of(metal: str, strength: str, velocity: float, diameter: float, target: str, preset: str = "draft") -> Scene:
+    """An impact on a target 6 diameters wide and 3 deep. velocity: m/s; diameter: um; strength: set of the metal."""
+    tables = impact_tables(metal, diameter, velocity, target, (6.0 * diameter, 3.0 * diameter))
+    tables["substrate"]["bottom"] = "absorbing"
+    more = {"adhesion": {"kind": "none"}, "materials": {metal: {"strength": strength}}}
+    return Scene.from_dict({"preset": preset, **tables, **more}, "experiment")
+
+
+def row_of(
+    metal: str, strength: str, velocity: str, preset: str, stiffness: str, splat: bool = False
+) -> dict[str, object]:
+    """The run of a key as a row of the table; splat: on 4340, else on its own metal."""
+    v = float(velocity)
+    D = float(np.mean(SPLAT["diameter_um"])) if splat else REBOUND[metal]["diameter_um"]
+    target = SPLAT["target"] if splat else metal
+    scene = scene_of(metal, strength, v, D, target, preset)
+    numerics = {} if stiffness == "1" else {"contact_stiffness": float(stiffness)}
+    with computed(scene, numerics=numerics, error=splat) as (result, cpu):  # the error of a splat is on the page
         s = result.values
-    band_of = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
+    flattening_band = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
     return {
-        "target": case.target, "diameter_um": case.diameter,
-        "engine": case.scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
-        "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
+        "target": target, "diameter_um": D,
+        "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / v,
+        "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": flattening_band,
         "splat_diameter_um": s["splat_diameter_m"] * 1e6, "thickness_um": s["thickness_m"] * 1e6,
         "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
         "drift": s["energy_drift"], "cpu_s": cpu,
@@ -141,7 +129,7 @@ def suspect_row(suspect: str, velocity: str) -> dict[str, object]:
     bonded = suspect.endswith(", bonds")
     preset, strength, stiffness = ("standard", "Hassani_2016", 8.0) if bonded else ("draft", "Pierazzo_2008", 1.0)
     stiffness = change.pop("contact_stiffness", stiffness)
-    usual = Case("Al1100", strength, v, D, "Al1100", preset).scene
+    usual = scene_of("Al1100", strength, v, D, "Al1100", preset)
     scene = usual.with_(**BONDED if bonded else {}).with_(**change)
     with computed(scene, numerics={"contact_stiffness": stiffness}, error=False) as (result, cpu):
         s = result.values
@@ -327,7 +315,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     save(figure, path)
 
 
-PARTS = {  # name: table, cases
+PARTS = {  # name: table, keys
     "restitution": ("restitution_sets", partial(rebounds, "draft")), "band": ("restitution_sets", band),
     "splats": ("splats_4340", splats), "fine": ("restitution_sets", fine),
 }  # fmt: skip
@@ -343,9 +331,8 @@ def main() -> None:
         elif part == "aluminium":
             study("aluminium", ("suspect", "velocity_m_s"), remake, SUSPECTS, suspect_row)
         else:
-            name, cases = PARTS[part]
-            of = {case.key: case for case in cases()}
-            study(name, KEY, remake, of, lambda *key, of=of: row_of(of[key]), may_fail=True)
+            name, keys = PARTS[part]
+            study(name, KEY, remake, keys(), partial(row_of, splat=part == "splats"), may_fail=True)
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
     draw(rebound, EVIDENCE / "restitution_sets.png")
     parts = {"restitution": restitution_part(rebound), "splats": splat_part(splat)}

@@ -3,12 +3,10 @@
 import csv
 import json
 import re
-import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_run import write
 from matplotlib.figure import Figure
 from scipy.stats.qmc import Halton
 from sweeps import flattening, made, points, pretend, scattered
@@ -24,8 +22,6 @@ from coupler.studies.maps import BAND, best_point, brackets, interpolate, run_ne
 from coupler.studies.runs import write_scene
 from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
 from coupler.studies.sweep import Sweep
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -426,34 +422,3 @@ def test_the_command_draws_maps_with_their_points(finished, tmp_path, capsys) ->
     assert (tmp_path / "map_Ni_velocity_ratio.png").is_file()
     assert cli.main(["map", str(tmp_path / "absent")]) == 2
     assert "is not a folder" in capsys.readouterr().err
-
-
-def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
-    """workflows/map_example.py over runs that were never computed, but for the drawing, which is tested above."""
-
-    def run(self: Sweep) -> Path:
-        for name in self.points:
-            write_scene(tmp_path, name, self.points[name])
-            p = Scene.load(tmp_path / f"{name}.toml").particle
-            f = float(flattening(np.array(p.velocity), np.array(p.diameter)))
-            pretend(tmp_path, name, flattening_ratio=f, T_p99_K=400.0 + p.velocity, rebound_velocity_m_s=20.0)
-        looked_at = tmp_path / "Ni_25um_650ms_300K"
-        summary = json.loads((looked_at / "summary.json").read_text())
-        (looked_at / "summary.json").unlink()
-        scene = (looked_at / "scene.toml").read_text()
-        (looked_at / "scene.toml").unlink()
-        (looked_at / "plan.json").unlink()
-        write(looked_at, 1, 200, 20.0, scene, summary)
-        return tmp_path
-
-    monkeypatch.setattr(Sweep, "run", run)
-    monkeypatch.setattr(
-        "coupler.studies.map_figures.draw", lambda rows, folder, quantities: [f"{len(rows)} rows drawn"]
-    )
-    runpy.run_path(str(ROOT / "workflows" / "map_example.py"))
-    said = capsys.readouterr().out
-    assert said.startswith("16 points, the first: Ni_10um_300ms_300K")
-    at = re.search(r"25 um at 550 m/s: ([0-9.]+) \+- ([0-9.]+)", said)
-    assert at is not None
-    assert float(at[1]) == pytest.approx(float(flattening(np.array(550.0), np.array(25e-6))), abs=0.02)
-    assert "25 um at 650 m/s: rebound 20 m/s" in said
