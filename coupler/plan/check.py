@@ -179,7 +179,7 @@ def _room(d: Derived) -> Iterator[Problem]:
 
 
 def _surface(d: Derived) -> Iterator[Problem]:
-    """Check that meshes bear the steepness and the heights of the surface, and that elements resolve it."""
+    """Check that a mesh can represent the slopes and the heights of the surface, and that its elements resolve them."""
     body, size = d.scene.substrate, d.element_size
     coarse, coarseness = _CELLS_OF_SHAPE * size, f"not resolved by elements of {_um(size)}"
     if body.roughness > 0.0:

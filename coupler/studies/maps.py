@@ -85,10 +85,10 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     """Interpolate a column of the table over `axes` (default: the axes that vary), from the rows with status "done".
 
     Matern kernel (nu = 5/2) with a correlation length for each standardised axis, and white noise; the constants maximise the marginal
-    likelihood. A length lies between the distance of the points (`_distances`) and LONGEST times the range of its axis. Errors of
-    points that are left out: Rasmussen & Williams, eq. 5.12, without a new fit. On a grid the neighbours with the same velocity nearly
-    determine a point; gap_rms leaves them out too. Raises StoreError if the points do not support an interpolation (`sparse`) or the
-    quantity is unknown.
+    likelihood. A length lies between the distance of the points (`_distances`) and LONGEST times the range of its axis. loo_rms is the
+    error at a point that is left out (Rasmussen & Williams, eq. 5.12, with the same constants). On a grid the other points of the same
+    velocity nearly determine that point: gap_rms leaves out all of them. Raises StoreError if the points do not support an
+    interpolation (`sparse`) or the quantity is unknown.
     """
     used = with_value(rows, quantity)
     names = tuple(axes) if axes is not None else varying(rows)

@@ -72,12 +72,12 @@ def settle(
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium. All elements are active during it; those beyond the wave front are inactive after it.
 
-    kinetic_0 (J): kinetic energy of the impacts before, the scale of the remaining energy; release_time (s): real motion after the
-    equilibrium, in which the released energy is measured; radius (m): distance from the start of the numbering beyond which no node
-    moves, unless it includes more than LOCAL of the elements; pending heat becomes pressure there too; known: from an earlier
-    equilibrium of these bodies, and for the next one; back: fixed nodes (k,), and displacements (k,3) m by which they are moved. The
-    equilibrium is not part of the simulated time, and no heat is conducted in it. Returns the number of steps and energies. Raises
-    SolverError when a tetrahedron inverts.
+    kinetic_0 (J): kinetic energy of the impacts before, the scale of the remaining energy. release_time (s): duration of the real
+    motion after the equilibrium, in which the released energy is measured. radius (m): nodes whose reach (`TetMesh`) is larger do not
+    move, but pending heat becomes pressure there too; if more than LOCAL of the elements lie within it, all nodes move. known: results
+    of an earlier equilibrium of these bodies, updated for the next one. back: fixed nodes (k,), and displacements (k,3) m by which they
+    are moved. The simulated time does not advance, and no heat is conducted. Returns the number of steps and energies. Raises
+    SolverError if a tetrahedron inverts.
     """
     t = bodies.target
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
