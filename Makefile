@@ -126,7 +126,7 @@ studies: test-setup
 	$(VENV)/bin/python workflows/element_particle.py
 
 accuracy: setup
-	$(VENV)/bin/python workflows/errors.py --jobs 2
+	$(VENV)/bin/python workflows/errors.py
 
 effects: setup
 	$(VENV)/bin/python workflows/effects_study.py

@@ -1,22 +1,20 @@
 """What accuracy costs in time, and whether the errors that runs print are true: does `fine` lie within those of the other presets?
 
-    python workflows/errors.py --jobs 2      # docs/tables/errors.csv, figure and numbers of the accuracy page
+    python workflows/errors.py               # docs/tables/errors.csv, figure and numbers of the accuracy page
     python workflows/errors.py --docs        # runs nothing: from the table that exists
 
 The scenes were chosen before the first comparison, and the constants of the rule (`coupler.plan.refinement`) are those of its source.
-Rows in the table are not computed again; --presets draft standard leaves out the fine runs, which take most of the time.
+Rows in the table are not computed again. The fine runs, which come last, take most of the time.
 """
 
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import as_completed
 from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import NullFormatter
 from pages import (
     EVIDENCE,
-    ROOT,
     column,
     impact_tables,
     markdown,
@@ -32,7 +30,6 @@ from pages import (
 from study_table import Row
 
 from coupler import Result, Scene, run
-from coupler.core.executors import executor
 from coupler.deposition.error import Companions
 from coupler.deposition.run import _alone
 from coupler.errors import ColdsprayError
@@ -48,7 +45,7 @@ PRESETS = ("draft", "standard", "fine")
 
 def compute(name: str, preset: str) -> dict[str, object]:
     """The row of a scene at a preset: its measures and errors, and the processor time of the run and of its coarser ones."""
-    row: dict[str, object] = {"scene": name, "preset": preset}
+    row = dict[str, object]()
     D = SCENES[name]["diameter"]
     tables = impact_tables(**SCENES[name], size=(8 * D, 4 * D))
     scene = Scene.from_dict({"preset": preset, **tables, "output": {"at": "ends"}}, "errors")
@@ -135,7 +132,7 @@ def draw(rows: Sequence[Row]) -> None:
     figure = blank(10.0, 4.2, 110, "constrained")
     left, right = figure.subplots(1, 2)
     coarse, standard = (by_scene(rows, preset) for preset in PRESETS[:2])
-    for scene in set(coarse) & set(standard):
+    for scene in (name for name in coarse if name in standard):
         pair = coarse[scene], standard[scene]
         left.loglog(*([values[k] for values in pair] for k in (0, 2)), "-", color="0.8", lw=0.8)
     for preset, of, colour in zip(PRESETS, (coarse, standard), ("C1", "C2"), strict=False):
@@ -174,18 +171,9 @@ def forecast(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def main() -> None:
-    a = options(__doc__, "docs", jobs=1, presets=list(PRESETS))
-    known = study("errors", ("scene", "preset"), "python workflows/errors.py")
-    asked = [(name, preset) for preset in PRESETS for name in SCENES if preset in a.presets and not a.docs]
-    wanted = [key for key in asked if key not in known]
-    if wanted:
-        with executor("processes", a.jobs, ROOT / "runs") as pool:
-            for future in as_completed([pool.submit(compute, *each) for each in wanted]):
-                new = known.add(future.result())
-                print(new["scene"], new["preset"], f"{float(new['cpu_s'] or 'nan'):.3g} s", new["failed"], flush=True)
-        order = [(name, preset) for name in SCENES for preset in PRESETS]
-        known.rows.sort(key=lambda row: order.index((row["scene"], row["preset"])))
-        known.write()
+    keys = ((name, preset) for preset in PRESETS for name in SCENES)
+    docs = options(__doc__, "docs").docs
+    known = study("errors", ("scene", "preset"), "python workflows/errors.py", () if docs else keys, compute)
     print("FORECAST =", forecast(known.rows))
     draw(known.rows)
     write_parts("accuracy", {"time": time_part(known.rows), "errors": table_part(known.rows)})

@@ -1,20 +1,18 @@
 """Single impacts that others have measured, computed with every strength set of the library: python workflows/experiments.py
 
-    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats, coatings, aluminium
+    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats, aluminium
     python workflows/experiments.py --docs                 # runs nothing: the page and its figure from the tables
 
 The measurements, readings, bands and suspects are in measurements.toml. Each run is a row of docs/tables/restitution_sets.csv,
-splats_4340.csv, coatings.csv or aluminium.csv that is not computed again. Nothing is fitted.
+splats_4340.csv or aluminium.csv that is not computed again. Nothing is fitted.
 """
 
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import coatings_al
 import numpy as np
 from numpy.typing import NDArray
 from pages import (
@@ -26,7 +24,6 @@ from pages import (
     measurements,
     number,
     options,
-    spacing_of,
     study,
     table_rows,
     versions,
@@ -39,10 +36,8 @@ from coupler import Scene
 from coupler.physics.materials import entry, material
 from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
 from coupler.report.picture import blank, save
-from coupler.studies import coating
 
 REBOUND, SPLAT, ALUMINIUM = measurements("rebound"), measurements("splat"), measurements("aluminium")
-COATED = {name: value for name, value in measurements("coatings").items() if isinstance(value, dict)}
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
 PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
@@ -137,74 +132,6 @@ def suspect_row(suspect: str, velocity: str) -> dict[str, object]:
         "restitution": (s["rebound_velocity_m_s"] or 0.0) / v, "margin_J": s["margin_J"],
         "flattening": s["flattening_ratio_total"], "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"], "cpu_s": cpu,
     }  # fmt: skip
-
-
-def coating_scene(metal: str, test: str) -> Scene:
-    """The scene of a coating of measurements.toml, with what a test changes of it."""
-    said = {"strength": next(iter(entry(metal).sets))} | COATED[metal]
-    D, size = said["diameter_um"], said["scene"]
-    tables = impact_tables(metal, D, said["velocity_m_s"], said["base"], (9 * D, size["height"] * D))
-    of_coating = {
-        "number": size["number"], "layers": size["layers"], "radius": f"{size['patch'] * D:g} um", "positions": "even",
-        "temperature": f"{said['temperature_K']} K", "dwell": "1 ms",
-    }  # fmt: skip
-    scene = {
-        "preset": "draft", "end": {"at": "cold"}, "output": {"at": "ends"}, "adhesion": {"kind": "tied", "criterion": "all"},
-        "coating": tables.pop("particle") | of_coating, **tables, "materials": {metal: {"strength": said["strength"]}},
-        "resolution": {"spacing": f"{spacing_of(1000, D):.4g} um"},
-    }  # fmt: skip
-    return Scene.from_dict(scene, "coating").with_(**said["tests"].get(test, {}))
-
-
-def coating_row(metal: str, test: str) -> dict[str, object]:
-    """Splats and stress of the substrate of a coating, as measurements.toml reads them."""
-    with computed(coating_scene(metal, test), skip_failed=True) as (result, cpu):
-        splats, drift = coating.read(result), max(abs(i["energy_drift"]) for i in result.summary["impacts"])
-        radius = coating.disc_radius(splats)
-    strain = coatings_al.flattening_strains(coatings_al.buried(splats), radius)
-    row: dict[str, object] = {"splats": len(strain), "drift": drift, "cpu_s": cpu}
-    for name, values in {"flattening": 1.0 - np.exp(-strain), "height_over_width": np.exp(-1.5 * strain)}.items():
-        row |= {name: values.mean(), f"{name}_error": coatings_al.error_of(values)}
-    z = splats.mesh.points[splats.mesh.cells].mean(axis=1)[:, 2] * 1e6
-    for name, (top, bottom) in COATED[metal].get("stress_um", {}).items():
-        slice_ = replace(splats, body=((splats.body == 0) & (z < -top) & (z >= -bottom)).astype(np.int64))
-        mean, error = coating.in_plane(slice_, radius, "stress")
-        row |= {f"{name}_MPa": mean * 1e-6, f"{name}_error": math.nan if error is None else error * 1e-6}
-    return row
-
-
-def coatings() -> Iterator[tuple[str, str]]:
-    """Metal and test of each coating, those without a test first."""
-    yield from ((metal, "") for metal in COATED)
-    yield from ((metal, test) for metal, said in COATED.items() for test in said["tests"])
-
-
-def coating_pairs(row: Row) -> Iterator[tuple[str, str, Sequence[float], Sequence[float], int]]:
-    """What is measured of a coating: quantity, case, measured value and error, computed value and error, digits after the point."""
-    metal, said = row["metal"], COATED[row["metal"]]
-    values = [
-        ("flattening", f"{metal} in a coating, (d₀ - h) / d₀", said.get("flattening"), "flattening", 2),
-        ("flattening", f"{metal} in a coating, h / w", said.get("flattening"), "height_over_width", 2),
-    ]
-    for place, measured in said.get("stress_MPa", {}).items():
-        what = f"{said['base']} below {metal}, {place.replace('um', 'µm')}"
-        values.append(("stress, MPa", what, measured, f"{place}_MPa", 0))
-    for quantity, what, measured, key, digits in values:
-        if measured:
-            error = number(row, f"{key.removesuffix('_MPa')}_error")
-            yield quantity, what, measured, (number(row, key), error), digits
-
-
-def coating_part(rows: Sequence[Row]) -> list[str]:
-    """Flattening in coatings, by both readings, and stress below one, measured and computed; what each test gives."""
-    lines, tests = [], []
-    for row in (row for row in rows if not row["failed"]):
-        for quantity, what, measured, ours, digits in coating_pairs(row):
-            if row["test"] and not what.endswith("h / w"):
-                tests.append(f"{what}, {row['test']} {with_error(*ours, digits)}")
-            elif not row["test"]:
-                lines.append([quantity, what, with_error(*measured, digits), with_error(*ours, digits)])
-    return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
 
 
 def chosen(rows: Sequence[Row], **values: str) -> list[Row]:
@@ -323,12 +250,10 @@ PARTS = {  # name: table, keys
 
 def main() -> None:
     """Run what is missing, write the page."""
-    a = options(__doc__, "docs", only=[*PARTS, "coatings", "aluminium"])
+    a = options(__doc__, "docs", only=[*PARTS, "aluminium"])
     remake = "python workflows/experiments.py"
     for part in () if a.docs else a.only:
-        if part == "coatings":
-            study("coatings", ("metal", "test"), remake, coatings(), coating_row, may_fail=True)
-        elif part == "aluminium":
+        if part == "aluminium":
             study("aluminium", ("suspect", "velocity_m_s"), remake, SUSPECTS, suspect_row)
         else:
             name, keys = PARTS[part]
@@ -337,7 +262,6 @@ def main() -> None:
     draw(rebound, EVIDENCE / "restitution_sets.png")
     parts = {"restitution": restitution_part(rebound), "splats": splat_part(splat)}
     write_parts("experiments", {**parts, "aluminium": suspects_part(table_rows("aluminium"))})
-    write_parts("coating_stress", {"coatings": coating_part(table_rows("coatings"))})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import coatings_al
+import coating_stress
 import experiments
 import numpy as np
 from pages import EVIDENCE, column, markdown, number, table_rows, with_error, write_parts
@@ -62,7 +62,7 @@ def splats() -> Iterator[Pair]:
 def others() -> Iterator[Pair]:
     """Flattening in coatings of iron and nickel, and stress of magnesium below aluminium."""
     rows = [row for row in table_rows("coatings") if not (row["test"] or row["failed"])]
-    for quantity, what, *values, digits in (pair for row in rows for pair in experiments.coating_pairs(row)):
+    for quantity, what, *values, digits in (pair for row in rows for pair in coating_stress.coating_pairs(row)):
         if not what.endswith("h / w"):
             yield Pair(quantity, what, *values[0], *values[1], digits, COATINGS)
 
@@ -93,10 +93,10 @@ def critical() -> Iterator[Pair]:
 
 def coatings() -> Iterator[Pair]:
     """Stress and density of aluminium coatings."""
-    for c in coatings_al.comparisons(table_rows("coating_al")):
+    for c in coating_stress.comparisons(table_rows("coating_al")):
         for kind, k, digits, key in (("stress, MPa", 9, 0, "stress_MPa"), ("density, %", 5, 1, "density")):
             values = column(c.rows, key)
-            error = coatings_al.error_of(values)
+            error = coating_stress.error_of(values)
             yield Pair(kind, c.name, *c.measured[k : k + 2], float(values.mean()), error, digits, COATINGS)
 
 

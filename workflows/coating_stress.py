@@ -1,7 +1,8 @@
-"""Coatings of aluminium whose deposition stress others have measured: python workflows/coatings_al.py
+"""Coatings whose deposition stress and flattening others have measured: python workflows/coating_stress.py
 
-Measured values, readings, strength sets and tests are in measurements.toml, [deposition_stress], the scene is coatings_al.toml. Each
-coating is a row of docs/tables/coating_al.csv that is not computed again; --docs runs nothing and writes figure and table of the page.
+Measured values, readings, strength sets and tests are in measurements.toml. Coatings of aluminium ([deposition_stress]) have the scene
+coatings_al.toml and rows in docs/tables/coating_al.csv, those of iron, nickel and aluminium on magnesium ([coatings]) in coatings.csv.
+Rows in the tables are not computed again; --docs runs nothing and writes figure and tables of the page.
 """
 
 import math
@@ -11,17 +12,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import EVIDENCE, ROOT, column, computed, markdown, measurements, options, study, with_error, write_parts
+from pages import (
+    EVIDENCE,
+    ROOT,
+    column,
+    computed,
+    impact_tables,
+    markdown,
+    measurements,
+    number,
+    options,
+    spacing_of,
+    study,
+    with_error,
+    write_parts,
+)
 from study_table import Row
 
 from coupler import Scene
 from coupler.geometry.tetrahedra import volumes
-from coupler.physics.materials import material
+from coupler.physics.materials import entry, material
 from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.splats import Splats
 
 MEASURED = measurements("deposition_stress")
+COATED = {name: value for name, value in measurements("coatings").items() if isinstance(value, dict)}
 KEY = ("metal", "velocity_m_s", "strength", "seed", "test")
 
 
@@ -36,7 +52,7 @@ def scene_of(metal: str, velocity: str, strength: str, seed: str, test: str) -> 
             "standoff": f"{standoff} mm",
         },
         substrate={"diameter": f"{9 * um} um", "height": f"{3 * um} um"},
-        resolution={"spacing": f"{um * (math.pi / 6000.0) ** (1.0 / 3.0):.4g} um"},
+        resolution={"spacing": f"{spacing_of(1000, um):.4g} um"},
         materials={metal: {"strength": strength}},
     )  # fmt: skip
     return scene.with_(**(MEASURED["tests"] | MEASURED["hot"]).get(test, {}))
@@ -173,13 +189,82 @@ def draw(rows: Sequence[Row]) -> None:
     save(figure, EVIDENCE / "coating_al.png")
 
 
+def coating_scene(metal: str, test: str) -> Scene:
+    """The scene of a coating of measurements.toml, with what a test changes of it."""
+    said = {"strength": next(iter(entry(metal).sets))} | COATED[metal]
+    D, size = said["diameter_um"], said["scene"]
+    tables = impact_tables(metal, D, said["velocity_m_s"], said["base"], (9 * D, size["height"] * D))
+    of_coating = {
+        "number": size["number"], "layers": size["layers"], "radius": f"{size['patch'] * D:g} um", "positions": "even",
+        "temperature": f"{said['temperature_K']} K", "dwell": "1 ms",
+    }  # fmt: skip
+    scene = {
+        "preset": "draft", "end": {"at": "cold"}, "output": {"at": "ends"}, "adhesion": {"kind": "tied", "criterion": "all"},
+        "coating": tables.pop("particle") | of_coating, **tables, "materials": {metal: {"strength": said["strength"]}},
+        "resolution": {"spacing": f"{spacing_of(1000, D):.4g} um"},
+    }  # fmt: skip
+    return Scene.from_dict(scene, "coating").with_(**said["tests"].get(test, {}))
+
+
+def coating_row(metal: str, test: str) -> dict[str, object]:
+    """Splats and stress of the substrate of a coating, as measurements.toml reads them."""
+    with computed(coating_scene(metal, test), skip_failed=True) as (result, cpu):
+        splats, drift = coating.read(result), max(abs(i["energy_drift"]) for i in result.summary["impacts"])
+        radius = coating.disc_radius(splats)
+    strain = flattening_strains(buried(splats), radius)
+    row: dict[str, object] = {"splats": len(strain), "drift": drift, "cpu_s": cpu}
+    for name, values in {"flattening": 1.0 - np.exp(-strain), "height_over_width": np.exp(-1.5 * strain)}.items():
+        row |= {name: values.mean(), f"{name}_error": error_of(values)}
+    z = splats.mesh.points[splats.mesh.cells].mean(axis=1)[:, 2] * 1e6
+    for name, (top, bottom) in COATED[metal].get("stress_um", {}).items():
+        slice_ = replace(splats, body=((splats.body == 0) & (z < -top) & (z >= -bottom)).astype(np.int64))
+        mean, error = coating.in_plane(slice_, radius, "stress")
+        row |= {f"{name}_MPa": mean * 1e-6, f"{name}_error": math.nan if error is None else error * 1e-6}
+    return row
+
+
+def coatings() -> Iterator[tuple[str, str]]:
+    """Metal and test of each coating, those without a test first."""
+    yield from ((metal, "") for metal in COATED)
+    yield from ((metal, test) for metal, said in COATED.items() for test in said["tests"])
+
+
+def coating_pairs(row: Row) -> Iterator[tuple[str, str, Sequence[float], Sequence[float], int]]:
+    """What is measured of a coating: quantity, case, measured value and error, computed value and error, digits after the point."""
+    metal, said = row["metal"], COATED[row["metal"]]
+    values = [
+        ("flattening", f"{metal} in a coating, (d₀ - h) / d₀", said.get("flattening"), "flattening", 2),
+        ("flattening", f"{metal} in a coating, h / w", said.get("flattening"), "height_over_width", 2),
+    ]
+    for place, measured in said.get("stress_MPa", {}).items():
+        what = f"{said['base']} below {metal}, {place.replace('um', 'µm')}"
+        values.append(("stress, MPa", what, measured, f"{place}_MPa", 0))
+    for quantity, what, measured, key, digits in values:
+        if measured:
+            error = number(row, f"{key.removesuffix('_MPa')}_error")
+            yield quantity, what, measured, (number(row, key), error), digits
+
+
+def coating_part(rows: Sequence[Row]) -> list[str]:
+    """Flattening in coatings, by both readings, and stress below one, measured and computed; what each test gives."""
+    lines, tests = [], []
+    for row in (row for row in rows if not row["failed"]):
+        for quantity, what, measured, ours, digits in coating_pairs(row):
+            if row["test"] and not what.endswith("h / w"):
+                tests.append(f"{what}, {row['test']} {with_error(*ours, digits)}")
+            elif not row["test"]:
+                lines.append([quantity, what, with_error(*measured, digits), with_error(*ours, digits)])
+    return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
+
+
 def main() -> None:
-    """Run what is missing, draw, write the table of the page."""
-    a = options(__doc__, "docs")
-    remake = "python workflows/coatings_al.py"
-    table = study("coating_al", KEY, remake, () if a.docs else keys(), row_of, may_fail=True)
+    """Run what is missing, draw, write the tables of the page."""
+    docs = options(__doc__, "docs").docs
+    remake = "python workflows/coating_stress.py"
+    table = study("coating_al", KEY, remake, () if docs else keys(), row_of, may_fail=True)
+    others = study("coatings", ("metal", "test"), remake, () if docs else coatings(), coating_row, may_fail=True)
     draw(table.rows)
-    write_parts("coating_stress", {"aluminium": lines(table.rows)})
+    write_parts("coating_stress", {"aluminium": lines(table.rows), "coatings": coating_part(others.rows)})
 
 
 if __name__ == "__main__":
