@@ -24,8 +24,6 @@ from scipy.stats import norm, qmc
 
 from coupler import Result, Scene
 from coupler.errors import ColdsprayError
-from coupler.geometry.graph import connected_parts
-from coupler.geometry.tetrahedra import volumes
 from coupler.impact.exchange import Impact
 
 HERE = Path(__file__).parent
@@ -132,18 +130,11 @@ def widest(points: NDArray) -> float:
     return float(pdist(outline).max())
 
 
-def widths_of(result: Result, least: float) -> list[float]:
-    """Largest diameter (m) of each splat that has joined the target, lowest first: of `least` m3 or more.
-
-    Bodies are told apart by their nodes, which they do not share; the largest is the substrate.
-    """
+def widths_of(result: Result) -> dict[int, float]:
+    """Largest diameter (m) of each splat that has joined the target, by the number of its impact, from 1."""
     f = result.fields(-1, "target")
-    cells = f.cells
-    owner = connected_parts(cells[:, [0, 1, 0, 2, 0, 3]].reshape(-1, 2), len(f.points))[1][cells[:, 0]]
-    volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
-    splats = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
-    middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in splats}
-    return [widest(f.points[np.unique(cells[owner == b])]) for b in sorted(splats, key=lambda b: middle[b])]
+    impact = f.data["impact"]
+    return {int(k): widest(f.points[np.unique(f.cells[impact == k])]) for k in np.unique(impact[impact > 0])}
 
 
 def strained_radius(result: Result, least: float = 0.2) -> float:
@@ -155,27 +146,20 @@ def strained_radius(result: Result, least: float = 0.2) -> float:
 
 def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
-    when, rows, impacts = 0.0, [], result.impacts
-    volumes = [np.pi / 6 * impact["diameter_m"] ** 3 for impact in impacts]
-    standing = widths_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
-    stayed = [k for k, impact in enumerate(impacts[:-1]) if impact["at_end"] is not None]
-    # splats in several parts, or lost ones, cannot be told from each other by their order: no width then
-    at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
-    times, radius = result.times("surface"), strained_radius(result) * 1e6
-    for k, impact in enumerate(impacts):
+    rows, impacts = [], result.impacts
+    widths = widths_of(result) | {len(impacts): widest(result.fields(-1, "surface").points)}
+    radius = strained_radius(result) * 1e6
+    for k, impact in enumerate(impacts, 1):
         end = impact["end"]
-        when += end["time_s"]
-        f = result.fields(int(np.abs(times - when).argmin()), "surface")
-        at_end[len(impacts) - 1] = widest(f.points)
         records = {"impact": impact, "own": end, "end": impact.get("at_end", end)}
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "engine": case.scene.resolution.engine, "material": impact["material"],
+            "run": case.name, "impact": k, "engine": case.scene.resolution.engine, "material": impact["material"],
             "temperature_K": case.start,
         }  # fmt: skip
         row |= {
             name: record[key] * by for name, (of, key, by) in MEASURES.items() if (record := records[of]) is not None
         }
-        row |= {"widest_um_end": at_end[k] * 1e6 if k in at_end else "", "strained_radius_um": radius}
+        row |= {"widest_um_end": widths[k] * 1e6 if k in widths else "", "strained_radius_um": radius}
         rows.append(row)
     return rows
 
