@@ -9,11 +9,9 @@ from types import FrameType
 
 @contextlib.contextmanager
 def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
-    """Context in which these signals call the handler, except those that the process ignores, as under nohup. Without effect outside
-    the main thread, which alone receives signals."""
+    """Context in which these signals call the handler. Without effect outside the main thread, which alone receives signals."""
     is_main = threading.current_thread() is threading.main_thread()
-    heard = [number for number in numbers if is_main and signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in heard}
+    before = {number: signal.signal(number, handler) for number in numbers if is_main}
     try:
         yield
     finally:
@@ -22,9 +20,10 @@ def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> 
 
 
 def interrupted_by(*numbers: int) -> contextlib.AbstractContextManager[None]:
-    """Context in which each of these signals raises KeyboardInterrupt with its number."""
+    """Context in which each of these signals raises KeyboardInterrupt with its number, except those that the process ignores, as under
+    nohup."""
 
     def end(number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt(number)
 
-    return handled(end, *numbers)
+    return handled(end, *(number for number in numbers if signal.getsignal(number) != signal.SIG_IGN))
