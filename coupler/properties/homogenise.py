@@ -10,7 +10,7 @@ faces while the other faces are insulated.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 TOLERANCE = 1e-6  # of the residual: the energy is then right to some 1e-9
 ITERATIONS = 3000  # more are needed where a part hangs by a hinge: then uniform traction bends it without limit
 LEAST = 1e-3  # of the largest eigenvalue of a stiffness: less has what hangs by a hinge
+ROUNDS = 6  # of the search for the surfaces that bear pressure: the last ones change some that bear next to nothing
 TOUCHING = 100.0  # stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3
 
 
@@ -108,21 +109,25 @@ class Problem:
     def _driven(self, held: list[NDArray]) -> NDArray:
         """Energies of the loads, per volume, if the components `held` follow the linear fields. Raises SolverError."""
         answer = self.uniform(self.x).copy()
-        alike = [next(k for k, own in enumerate(held) if (own == each).all()) for each in held]
+        alike = np.array([next(k for k, own in enumerate(held) if (own == each).all()) for each in held])
         for first in dict.fromkeys(alike):
-            T, free = self._leads(held[first])
-            K, own = csr_array(T.T @ self.K @ T), held[first][free]
-            inner, outer = K[~own][:, ~own], K[~own][:, own]
-            for k in np.flatnonzero(np.equal(alike, first)):
-                part = answer[k, free]
-                part[~own], failed = _solved(inner, -outer @ part[own])
-                if failed:
-                    raise SolverError(
-                        f"the equations of the block are not solved in {ITERATIONS} iterations: choose a smaller block (--side)"
-                    )
-                answer[k] = T @ part
+            answer[alike == first] = self.answers(held[first], answer[alike == first])
         energy = answer @ (self.K @ answer.T) / self.volume
         return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
+
+    def answers(self, held: NDArray, fields: NDArray) -> NDArray:
+        """The fields (loads, components n) of least energy that have the values of `fields` (loads, components n) where `held`
+        (components n,). Raises SolverError."""
+        T, free = self._leads(held)
+        K, own, found = csr_array(T.T @ self.K @ T), held[free], fields[:, free]
+        inner, outer = K[~own][:, ~own], K[~own][:, own]
+        for part in found:
+            part[~own], failed = _solved(inner, -outer @ part[own])
+            if failed:
+                raise SolverError(
+                    f"the equations of the block are not solved in {ITERATIONS} iterations: choose a smaller block (--side)"
+                )
+        return np.asarray((T @ found.T).T)
 
     def _leads(self, held: NDArray) -> tuple[csr_array, NDArray]:
         """Matrix (components n, f) from the free values to all values, and indices (f,) of the free values. A bonded value that is
@@ -155,10 +160,11 @@ class Problem:
         return modes.reshape(3 * n, 6)
 
 
-def elastic(block: Block, lame: NDArray, shear: NDArray) -> Problem:
-    """The elastic problem of a block. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the opposite
-    points. Touching surfaces slide without friction and carry pressure; they carry tension as long as it is below the residual
-    pressure."""
+def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -> Problem:
+    """The elastic problem of a block under small further loads, while it is pressed (strain -1) or stretched (1) equally in all
+    directions, in the mixed conditions. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the
+    opposite points. Touching surfaces slide without friction: those that bear pressure in this state are closed, the others are
+    open. With this set the problem is linear, and the three conditions enclose it. Raises SolverError."""
     of_lame, of_shear = (gradient_products(block.points, block.tets, each) for each in (lame, shear))
     laplacian = of_shear[0][0] + of_shear[1][1] + of_shear[2][2]
     rows = [
@@ -167,13 +173,19 @@ def elastic(block: Block, lame: NDArray, shear: NDArray) -> Problem:
     ]
     K = csr_array(block_array(rows, format="csr"))
     touching = block.joints.only(~block.joints.bonded)
-    if len(touching.nodes):
-        jump = _jump(touching, len(block.points))
-        across = csr_array(block_array([[diags_array(touching.normal[:, i]) @ jump for i in range(3)]], format="csr"))
-        size = float(np.cbrt(block.volume / len(block.tets)))
-        spring = TOUCHING * float((lame + 2.0 * shear).max()) / size * touching.area
-        K = csr_array(K + across.T @ diags_array(spring) @ across)
-    return _problem(block, K, 3)
+    jump = _jump(touching, len(block.points))
+    across = csr_array(block_array([[diags_array(touching.normal[:, i]) @ jump for i in range(3)]], format="csr"))
+    size = float(np.cbrt(block.volume / len(block.tets)))
+    spring = TOUCHING * float((lame + 2.0 * shear).max()) / size * touching.area
+    closed, problem = np.ones(len(spring), bool), _problem(block, K, 3)
+    for _ in range(ROUNDS if len(spring) else 0):
+        pressed = across[closed]
+        problem = replace(problem, K=csr_array(K + pressed.T @ diags_array(spring[closed]) @ pressed))
+        opening = strain * (across @ problem.answers(problem.on.ravel(), block.points.T.reshape(1, -1))[0])
+        before, closed = closed, opening < 0.0
+        if (before == closed).all():
+            break
+    return problem
 
 
 def conducting(block: Block, conductivity: NDArray, conductance: float) -> Problem:

@@ -62,7 +62,8 @@ class Properties:
     metal; open_share: fraction of its vertical columns whose metal ends below its top; bonded: fraction of the joint area that is
     bonded; gap: volume between bonded surfaces, which counts as metal, divided by the volume of the block; stiffness: 6x6 matrix (Pa)
     in Voigt's order (xx yy zz yz xz xy) for each condition, static None as in `Bracket`; values: bracket of each property; warnings:
-    texts.
+    texts. Where surfaces only touch, stiffness and moduli are those of the block while it is pressed, and under keys with "_stretched"
+    those while it is stretched (`homogenise.elastic`).
     """
 
     side_m: float
@@ -179,25 +180,28 @@ def cut(
 
 def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, float], open_share: float) -> Properties:
     """The properties of a block, with the error from its quarters."""
-    block, joints, problem = whole.block, whole.block.joints, _elastic(whole)
-    kinematic, mixed, static = problem.kinematic(), problem.mixed(), problem.static()
-    parts = [moduli(_elastic(quarter).mixed()) for quarter in quarters]
+    block, joints = whole.block, whole.block.joints
     bulk = {"E": whole.mean(lambda metal: metal.E), "G": whole.mean(lambda metal: metal.G)}
-    most, least, values = moduli(kinematic), {} if static is None else moduli(static), {}
-    for name, value in moduli(mixed).items():
-        several = np.array([part[name] for part in parts])
-        error = float(several.std(ddof=1)) / math.sqrt(len(parts)) if parts else None
-        size = value - float(several.mean()) if parts else None
-        values[name] = Bracket("Pa", bulk[name[0]], most[name], value, least.get(name), error, size)
+    stiffness: dict[str, list[list[float]] | None] = {}
+    values: dict[str, Bracket] = {}
+    for state, strain in (("", -1.0), ("_stretched", 1.0))[: 2 - joints.bonded.all()]:
+        problem = _elastic(whole, strain)
+        kinematic, mixed, static = problem.kinematic(), problem.mixed(), problem.static()
+        parts = [moduli(_elastic(quarter, strain).mixed()) for quarter in quarters]
+        most, least = moduli(kinematic), {} if static is None else moduli(static)
+        for name, value in moduli(mixed).items():
+            several = np.array([part[name] for part in parts])
+            error = float(several.std(ddof=1)) / math.sqrt(len(parts)) if parts else None
+            size = value - float(several.mean()) if parts else None
+            values[name + state] = Bracket("Pa", bulk[name[0]], most[name], value, least.get(name), error, size)
+        for condition, C in (("kinematic", kinematic), ("mixed", mixed), ("static", static)):
+            stiffness[condition + state] = None if C is None else C.tolist()
     area, edges = float(joints.area.sum()), (block.high - block.low).tolist()
     few = f"the block holds {whole.splats:.0f} splats, too few for an error: give runs with other seeds"
     return Properties(
         side_m=edges[0], height_m=edges[2], elements=len(block.tets), splats=whole.splats,
         solid=block.solid, open_share=open_share, bonded=float(joints.area @ joints.bonded) / area if area else 0.0,
-        gap=float(joints.area @ abs(joints.gap)) / block.volume,
-        stiffness={
-            "kinematic": kinematic.tolist(), "mixed": mixed.tolist(), "static": None if static is None else static.tolist()
-        },
+        gap=float(joints.area @ abs(joints.gap)) / block.volume, stiffness=stiffness,
         values=values | _conduction(whole, conductance), warnings=[few] if whole.splats < FEW_SPLATS else [],
     )  # fmt: skip
 
@@ -213,8 +217,8 @@ def moduli(stiffness: NDArray) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _elastic(sample: Sample) -> Problem:
-    return elastic(sample.block, sample.of_each(lambda m: m.K - 2.0 / 3.0 * m.G), sample.of_each(lambda m: m.G))
+def _elastic(sample: Sample, strain: float) -> Problem:
+    return elastic(sample.block, sample.of_each(lambda m: m.K - 2.0 / 3.0 * m.G), sample.of_each(lambda m: m.G), strain)
 
 
 def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, Bracket]:

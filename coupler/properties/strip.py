@@ -124,8 +124,9 @@ def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float
 
 def write(strip: Strip, length: float, folder: Path, about: str) -> None:
     """Write NAMES. csv: a row for each slice, z above the surface of the strip. inp: a quarter of the flat strip, `length` m long and a
-    third as wide, with the stress that it has while it is held flat, for CalculiX: a brick C3D8I for each slice, its initial stress at
-    its eight points. The static step frees it: it bends. SI units."""
+    third as wide, with the stress that it has while it is held flat: a brick C3D8I for each slice. The static step frees it: it bends.
+    The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of
+    elements, six components; Abaqus Keywords Reference, *INITIAL CONDITIONS). All other lines are the same in both. SI units."""
     (residual, flat, _), z = strip.residual(), strip.middle - strip.height[: strip.below].sum()
     columns = {
         "z_m": z, "height_m": strip.height, "E_Pa": strip.modulus, "nu": strip.nu, "arriving_Pa": strip.arriving,
@@ -146,8 +147,10 @@ def write(strip: Strip, length: float, folder: Path, about: str) -> None:
     for k in range(n):
         text += [f"*MATERIAL, NAME=M{k}", "*ELASTIC", f"{strip.modulus[k]:.8g}, {strip.nu[k]:.6g}"]
         text += [f"*SOLID SECTION, ELSET=SLICE{k}, MATERIAL=M{k}"]
-    text += ["*BOUNDARY", "XMIN, 1", "YMIN, 2", "ORIGIN, 3", "*INITIAL CONDITIONS, TYPE=STRESS"]
     stress = [f"{value:.8g}, {value:.8g}, 0, 0, 0, 0" for value in flat]
+    text += ["** In Abaqus these lines, without **, replace those below *INITIAL CONDITIONS:"]
+    text += [f"** SLICE{k}, {stress[k]}" for k in range(n)]
+    text += ["*BOUNDARY", "XMIN, 1", "YMIN, 2", "ORIGIN, 3", "*INITIAL CONDITIONS, TYPE=STRESS"]
     text += [f"{e + 1}, {point}, {stress[k]}" for e, k in enumerate(slice_of) for point in range(1, 9)]
     text += ["*STEP", "*STATIC", "*NODE FILE", "U", "*EL FILE", "S", "*END STEP", ""]
     with replacing(folder / NAMES[1]) as part:

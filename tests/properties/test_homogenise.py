@@ -22,9 +22,9 @@ def isotropic(lame: float, shear: float) -> np.ndarray:
     return C
 
 
-def stiffness(block: Block, kind: str, factor: np.ndarray | float = 1.0) -> np.ndarray:
+def stiffness(block: Block, kind: str, factor: np.ndarray | float = 1.0, strain: float = -1.0) -> np.ndarray:
     whole = np.ones(len(block.tets)) * factor
-    return getattr(elastic(block, LAME * whole, SHEAR * whole), kind)()
+    return getattr(elastic(block, LAME * whole, SHEAR * whole, strain), kind)()
 
 
 def conductivity(block: Block, kind: str, factor: np.ndarray | float = 1.0, conductance: float = 1.0) -> np.ndarray:
@@ -127,6 +127,29 @@ def test_what_touches_bears_pressure_and_slides() -> None:
     assert conductivity(block, "mixed", conductance=h)[2, 2] == pytest.approx(
         1 / (1 / K_HEAT + 1 / (h * 10 * UM)), rel=1e-6
     )
+
+
+def test_layers_that_only_touch_are_loose_where_they_are_stretched() -> None:
+    """Pressed, layers without a bond have the stiffness of the metal across; stretched, none. Along them, layers that are free to
+    contract have that of plane stress, E / (1 - nu2). The middle layer is loose then."""
+    block = stack([2.5 * UM, 5 * UM, 2.5 * UM], joint="touching")
+    pressed, stretched = (stiffness(block, "mixed", strain=strain) for strain in (-1.0, 1.0))
+    assert pressed[2, 2] == pytest.approx(LAME + 2 * SHEAR, rel=2e-2)
+    assert stretched[2, 2] < 1e-6 * E
+    assert stretched[0, 0] == pytest.approx(E / (1 - NU**2), rel=1e-6)
+    assert stiffness(block, "static", strain=1.0) is None
+
+
+def test_halves_that_are_bonded_in_part_open_beside_the_bond() -> None:
+    """What touches around a spot closes under pressure and opens in tension, as a pore; each state has its own bounds."""
+    whole, spot = stack([5 * UM, 5 * UM], joint="touching"), stack([5 * UM, 5 * UM], radius=3 * UM)
+    bonded = np.isin(whole.joints.nodes, spot.joints.nodes)
+    block = replace(whole, joints=replace(whole.joints, bonded=bonded))
+    pressed, stretched = ([moduli(stiffness(block, kind, strain=s)) for kind in KINDS] for s in (-1.0, 1.0))
+    assert pressed[1]["E_across"] == pytest.approx(E, rel=2e-2)
+    assert stretched[1]["E_across"] == pytest.approx(moduli(stiffness(spot, "mixed"))["E_across"], rel=1e-5)
+    for most, between, least in (pressed, stretched):
+        assert all(1.00001 * most[name] > between[name] > 0.99999 * least[name] for name in most)
 
 
 def test_the_bounds_enclose_and_the_tensors_are_symmetric() -> None:

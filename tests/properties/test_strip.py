@@ -82,7 +82,7 @@ def test_a_strip_held_flat_needs_the_moment_of_its_curvature() -> None:
 
 def test_the_file_for_other_programs_has_a_stress_for_each_point(tmp_path: Path) -> None:
     """meshio reads the mesh; after it each brick has eight lines: element, point, six components (CalculiX manual, *INITIAL
-    CONDITIONS)."""
+    CONDITIONS). The comments for Abaqus say the same of the sets."""
     path, coated = tmp_path / NAMES[1], strip(3, 60e-6, -80e6)
     write(coated, 20e-3, tmp_path, "")
     mesh = meshio.read(path)
@@ -93,3 +93,7 @@ def test_the_file_for_other_programs_has_a_stress_for_each_point(tmp_path: Path)
     slice_of = ((values[:, 0] - 1) % 4).astype(int)
     np.testing.assert_allclose(values[:, 2], coated.residual()[1][slice_of], rtol=1e-6)
     assert (values[:, 4:] == 0.0).all()
+    told = [line.split(", ") for line in path.read_text().splitlines() if line.startswith("** SLICE")]
+    assert [name for name, *_ in told] == [f"** {name}" for name in mesh.cell_sets]
+    of_slices = np.array([line[1:] for line in told], float)
+    np.testing.assert_array_equal(of_slices[slice_of], values[:, 2:])
