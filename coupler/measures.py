@@ -189,6 +189,10 @@ TABLE = (
 )  # fmt: skip
 MEASURES = {measure.key: measure for measure in TABLE}
 CONVERGING = tuple(measure.key for measure in TABLE if measure.converges)
+PROPERTIES = {  # effective ones of a coating: name, unit, factor on SI for a screen, unit then
+    "E": ("Young's modulus", "Pa", 1e-9, "GPa"), "G": ("shear modulus", "Pa", 1e-9, "GPa"),
+    "k": ("heat conductivity", "W/mK", 1.0, "W/mK"), "sigma": ("electric conductivity", "S/m", 1e-6, "MS/m"),
+}  # fmt: skip
 
 
 def measure(key: str) -> Measure:

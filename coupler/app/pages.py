@@ -270,9 +270,12 @@ def _run(workspace: Workspace, name: str) -> None:
 
 
 def _report(workspace: Workspace, folder: Path, row: Row) -> str:
-    """Return the web address of the report of a finished run or job. The report is written if it is missing or older than the run."""
-    page, summary = folder / ("job.html" if row.kind == JOB else "report.html"), folder / "summary.json"
-    if row.kind != JOB and (not page.is_file() or page.stat().st_mtime < summary.stat().st_mtime):
+    """Return the web address of the report of a finished run or job. The report is written if it is missing or older than the run or
+    the properties of its coating."""
+    page = folder / ("job.html" if row.kind == JOB else "report.html")
+    told = [path for path in (folder / "summary.json", folder / "properties" / "properties.json") if path.is_file()]
+    written = page.stat().st_mtime if page.is_file() else 0.0
+    if row.kind != JOB and written < max(path.stat().st_mtime for path in told):
         workspace.call("report", str(folder))
     return workspace.address(page)
 

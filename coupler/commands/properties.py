@@ -134,7 +134,7 @@ def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from ..properties.measure import KINDS
+    from ..measures import PROPERTIES
     from ..report.words import with_error
 
     shown = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -143,7 +143,7 @@ def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
         shown.add_column(text, justify="left" if text == heads[0] else "right")
     for key, value in of.values.items():
         kind, _, where = key.partition("_")
-        label, _, factor, unit = KINDS[kind]
+        label, _, factor, unit = PROPERTIES[kind]
         percent = 100.0 / value.bulk
         columns = (value.kinematic, value.mixed, value.static, value.error, value.size)
         cells = ["-" if x is None else f"{percent * x:.1f}" for x in columns]

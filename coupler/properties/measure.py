@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import StoreError
 from ..files.result import Result
 from ..geometry.tetrahedra import volumes
+from ..measures import PROPERTIES
 from ..physics.materials import Material
 from ..plan.model import Plan
 from ..plan.record import read_plan
@@ -33,10 +34,6 @@ LORENZ = 2.44e-8  # W Ohm/K2: law of Wiedemann and Franz, Sommerfeld's value
 ROOM = 300.0  # K
 LEAST_SPLATS, FEW_SPLATS = 2.0, 30.0  # in the volume of a block: fewer are refused, or warned of
 GROUND, TOP = 0.99, 0.1  # quantiles of the heights of substrate and coating between which a block lies
-KINDS = {  # of property: name, unit, factor on SI for a screen, unit then
-    "E": ("Young's modulus", "Pa", 1e-9, "GPa"), "G": ("shear modulus", "Pa", 1e-9, "GPa"),
-    "k": ("heat conductivity", "W/mK", 1.0, "W/mK"), "sigma": ("electric conductivity", "S/m", 1e-6, "MS/m"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -235,5 +232,5 @@ def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, B
             for direction, axes in (("in_plane", [0, 1]), ("across", [2])):
                 most, between = (factor * float(C.diagonal()[axes].mean()) for C in (kinematic, mixed))
                 lowest = None if static is None else factor * float(static.diagonal()[axes].mean())
-                values[f"{name}_{direction}{end}"] = Bracket(KINDS[name][1], factor * mean, most, between, lowest)
+                values[f"{name}_{direction}{end}"] = Bracket(PROPERTIES[name][1], factor * mean, most, between, lowest)
     return values

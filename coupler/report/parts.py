@@ -10,7 +10,7 @@ from ..errors import StoreError
 from ..files.inputs import parse_toml, read_json_object
 from ..files.result import Result
 from ..files.summary import Summary, Values
-from ..measures import measure
+from ..measures import PROPERTIES, measure
 from . import words
 from .words import Line, brief, columns, errors_of, impacts, plain, shown, span, table_lines
 
@@ -141,15 +141,11 @@ def properties(result: Result) -> str:
     if not path.is_file():
         return ""
     data: Values = read_json_object(path)
-    kinds = {"E": "Young's modulus", "G": "shear modulus", "k": "heat conductivity", "sigma": "electric conductivity"}
     try:
         values = next(iter(data["runs"].values()))["values"].items()
         lines = [
-            (
-                f"{kinds[key.split('_')[0]]}, {' '.join(key.split('_')[1:])}",
-                f"{of['mixed'] / of['bulk']:.0%} of the bulk",
-            )
-            for key, of in values
+            (f"{PROPERTIES[kind][0]}, {' '.join(where)}", f"{of['mixed'] / of['bulk']:.0%} of the bulk")
+            for (kind, *where), of in ((key.split("_"), of) for key, of in values)
         ]
         lines += [
             (f"strength, {pull['direction'].replace('_', ' ')}", f"{1e-6 * pull['strength_Pa']:.0f} MPa")

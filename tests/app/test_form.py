@@ -1,6 +1,10 @@
 """Fields of a form are the keys of the schema, and the problems at them those of the reader."""
 
+import os
 from importlib.resources import files
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -8,7 +12,8 @@ pytest.importorskip("nicegui")
 
 from coupler.app.form import entries_of, placed
 from coupler.app.looks import look
-from coupler.app.pages import INPUTS
+from coupler.app.pages import INPUTS, _report
+from coupler.app.workspace import FINISHED, RUN, Row
 from coupler.scene.json_schema import job_schema, scene_schema
 from coupler.scene.toml import changed, texts
 from coupler.studies.pace import Pace
@@ -59,3 +64,15 @@ def test_a_job_is_answered_by_the_formula_as_it_is_typed(tmp_path):
     assert "Velocity at impact" in seen.numbers[0].label
     assert [len(figure["data"]) > 3 for figure in seen.drawn] == [True, True]
     assert len(seen.classes["share"]) == 25
+
+
+def test_a_report_is_written_again_when_the_properties_of_the_coating_come(tmp_path: Path) -> None:
+    """`coldspray properties` may write into the folder after the page has made the report; an up-to-date report stays."""
+    written: list[str] = []
+    workspace = SimpleNamespace(address=lambda page: page.name, call=lambda *words: written.append(words[0]))
+    for time, name in enumerate(("summary.json", "report.html", "properties/properties.json"), 1):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+        os.utime(tmp_path / name, (time, time))
+        _report(cast(Any, workspace), tmp_path, Row("coating", RUN, FINISHED, "", 0.0))
+    assert written == ["report", "report"]
