@@ -28,7 +28,9 @@ TOLERANCE = 1e-6  # of the residual: the energy is then right to some 1e-9
 ITERATIONS = 3000  # more are needed where a part hangs by a hinge: then uniform traction bends it without limit
 LEAST = 1e-3  # of the largest eigenvalue of a stiffness: less has what hangs by a hinge
 ROUNDS = 6  # of the search for the surfaces that bear pressure: the last ones change some that bear next to nothing
-TOUCHING = 100.0  # stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3
+# Stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3. In series with it lies the gap as
+# metal: on the faces of the block, where nodes on both sides are held, a stiffer spring would bear more than metal does.
+TOUCHING = 100.0
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -
     jump = _jump(touching, len(block.points))
     across = csr_array(block_array([[diags_array(touching.normal[:, i]) @ jump for i in range(3)]], format="csr"))
     size = float(np.cbrt(block.volume / len(block.tets)))
-    spring = TOUCHING * float((lame + 2.0 * shear).max()) / size * touching.area
+    spring = float((lame + 2.0 * shear).max()) * touching.area / (size / TOUCHING + abs(touching.gap))
     closed, problem = np.ones(len(spring), bool), _problem(block, K, 3)
     for _ in range(ROUNDS if len(spring) else 0):
         pressed = across[closed]
@@ -195,7 +197,8 @@ def conducting(block: Block, conductivity: NDArray, conductance: float) -> Probl
     K = products[0][0] + products[1][1] + products[2][2]
     touching = block.joints.only(~block.joints.bonded)
     jump = _jump(touching, len(block.points))
-    return _problem(block, csr_array(K + jump.T @ diags_array(conductance * touching.area) @ jump), 1)
+    spring = conductance * touching.area / (1.0 + conductance * abs(touching.gap) / float(conductivity.max()))
+    return _problem(block, csr_array(K + jump.T @ diags_array(spring) @ jump), 1)
 
 
 def _jump(joints: Joints, n: int) -> csr_array:

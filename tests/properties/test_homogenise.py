@@ -140,6 +140,17 @@ def test_layers_that_only_touch_are_loose_where_they_are_stretched() -> None:
     assert stiffness(block, "static", strain=1.0) is None
 
 
+def test_surfaces_that_touch_across_a_gap_bear_no_more_than_metal() -> None:
+    """Halves that overlap by 2 % of the height: on the faces both sides are held at unequal heights. In the affine field the overlap
+    bears as metal does, so that the upper bound is less than 1.02 of the metal's value."""
+    block, gap = stack([5 * UM, 5 * UM], joint="touching"), 0.2 * UM
+    points = block.points.copy()
+    points[np.unique(block.tets[block.body == 1]), 2] -= gap
+    block = replace(block, points=points, joints=replace(block.joints, gap=np.full(len(block.joints.nodes), -gap)))
+    assert conductivity(block, "kinematic", conductance=1e15)[2, 2] < 1.02 * K_HEAT
+    assert stiffness(block, "kinematic")[2, 2] < 1.02 * (LAME + 2 * SHEAR)
+
+
 def test_halves_that_are_bonded_in_part_open_beside_the_bond() -> None:
     """What touches around a spot closes under pressure and opens in tension, as a pore; each state has its own bounds."""
     whole, spot = stack([5 * UM, 5 * UM], joint="touching"), stack([5 * UM, 5 * UM], radius=3 * UM)
