@@ -158,12 +158,12 @@ def cut(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
     """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
-    if it is too small for its splats."""
+    if it is too small for its splats, but for a joint to the substrate one splat is enough."""
     mesh, impact = splats.mesh, splats.impact[splats.body]
     own = impact >= first
     of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)
     held = float(np.prod(high - low) / of_splat)
-    if held < LEAST_SPLATS:
+    if first and held < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
         raise StoreError(
             f"a block of {edges} um holds {held:.1f} splats, but {LEAST_SPLATS:.0f} are needed: choose a larger block (--side,"

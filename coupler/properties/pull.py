@@ -9,6 +9,7 @@ difference from a uniform stretch and contraction. The motion is nearly static, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.bond import Bond, penalty
-from ..errors import StoreError
+from ..errors import SolverError, StoreError
 from ..fe.explicit import Target
 from ..fe.mesh import prepare_ordered
 from ..fe.relaxed import Relaxation
@@ -48,7 +49,7 @@ WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion":
 
 @dataclass(frozen=True)
 class Pull:
-    """Result of a tensile test of a block, until it parts or has the strain MOST.
+    """Result of a tensile test of a block, until it parts or has the strain MOST, or a tetrahedron inverts after the peak.
 
     film: factor on strength times thickness of the oxide film, None if bonds of the run never break; strength: greatest force over
     the area of the block, pores included; strain: strain at the greatest force; has_parted: whether the block has parted;
@@ -70,9 +71,10 @@ class Pull:
 
 
 def strengths(
-    result: Result, side: float | None = None, heights: tuple[float, float] | None = None, films: tuple[float, ...] = FILM
+    result: Result, side: float | None = None, heights: tuple[float, float] | None = None, films: tuple[float, ...] = FILM,
+    directions: Sequence[str] = tuple(AXES),
 ) -> list[Pull]:  # fmt: skip
-    """Pull the block of a run (`measure.properties`) in each direction of AXES, with each film. adhesion: pull across a block that
+    """Pull the block of a run (`measure.properties`) in each direction (of AXES), with each film. adhesion: pull across a block that
     includes the substrate, down to two elements below the lowest splat. The energy of a bond is proportional to strength times
     thickness of the film. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit
     of plastic flow between the pores. Raises the errors of `properties`."""
@@ -88,7 +90,7 @@ def strengths(
     laws = np.concatenate([law_record(metal, plan.effects.switches, RATE_TIME) for metal in metals])
     low, high, _ = corners(splats, side, heights)
     found = []
-    for direction in AXES:
+    for direction in directions:
         first = 0 if direction == "adhesion" else 1  # body of the block
         lowest = (
             float(splats.mesh.points[splats.mesh.cells[splats.impact[splats.body] > 0], 2].min())
@@ -106,11 +108,16 @@ def pull(
     sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
 ) -> Pull:  # fmt: skip
     """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground:
-    number of the first bodies that are the substrate and its layers. Raises SolverError if a tetrahedron inverts."""
+    number of the first bodies that are the substrate and its layers. Raises SolverError if a tetrahedron inverts before the peak."""
     machine, greatest = Machine(sample.block, laws, eps_p, T, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
-        rows.append(machine.row())
+        try:
+            rows.append(machine.row())
+        except SolverError:  # an element inverts, as in a neck: after the peak the strength is known
+            if rows[-1]["stress_Pa"] >= greatest:
+                raise
+            break
         greatest = max(greatest, rows[-1]["stress_Pa"])
     t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
     was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others follow

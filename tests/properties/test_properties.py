@@ -5,6 +5,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import scenes
 from conftest import SharedRuns
@@ -12,6 +13,7 @@ from conftest import SharedRuns
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.files.result import Result
+from coupler.properties.measure import cold_coating, cut
 
 BLOCK = ["--side", "28 um", "--heights", "1 um", "12 um"]  # two splats fill so much, though they do not fill it
 
@@ -82,6 +84,10 @@ def test_what_has_no_cold_coating_or_no_room_is_refused(
 ) -> None:
     with pytest.raises(StoreError, match=r"holds .* splats, but 2 are needed: choose a larger"):
         cold.properties(side=4e-6, heights=(3e-6, 6e-6))
+    _, splats, metals = cold_coating(cold)
+    joint = cut(splats, metals, np.full(3, -6e-6), np.full(3, 6e-6), first=0)  # to the substrate: one splat is enough
+    assert joint.splats < 2.0
+    assert {0, 1} <= set(joint.block.body)
     for heights in ((-30e-6, 6e-6), (300e-6, 400e-6)):
         with pytest.raises(StoreError, match="the lower one above the substrate"):
             cold.properties(heights=heights)

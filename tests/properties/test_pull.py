@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from layers import UM, stack
 
-from coupler.errors import StoreError
+from coupler.errors import SolverError, StoreError
 from coupler.physics.constitutive import law_record, yield_stresses
 from coupler.physics.materials import material
 from coupler.properties.block import Block
@@ -77,6 +77,30 @@ def test_a_thicker_film_makes_tougher_bonds() -> None:
     thin, thick = (pulled(block, energy=0.5, film=film) for film in (0.4, 2.0))
     assert thin.strength_Pa < 0.99 * thick.strength_Pa
     assert thick.rows[-1]["bonds_J"] > 3.0 * thin.rows[-1]["bonds_J"]
+
+
+@pytest.mark.parametrize(("last", "known"), [(2.0, True), (4.0, False)])
+def test_what_inverts_after_the_peak_leaves_the_strength(
+    monkeypatch: pytest.MonkeyPatch, last: float, known: bool
+) -> None:
+    """A neck can invert an element: the greatest force is known if the force has fallen from it."""
+    stress = iter((1.0, 3.0, last))
+
+    def row(machine: Machine) -> dict[str, float]:
+        if (value := next(stress, None)) is None:
+            raise SolverError("inverted")
+        return {"stress_Pa": value, "work_J": 1.0} | dict.fromkeys(
+            ("strain", "bonds_J", "plastic_J", "stored_or_spent_J"), 0.0
+        )
+
+    monkeypatch.setattr(Machine, "row", row)
+    block = stack([10 * UM], n=1)
+    if known:
+        found = pulled(block)
+        assert (found.strength_Pa, found.has_parted) == (3.0, False)
+    else:
+        with pytest.raises(SolverError):
+            pulled(block)
 
 
 def test_what_touches_bears_pressure_alone() -> None:
