@@ -1,10 +1,16 @@
 """Search for pairs of points and triangles that are near each other, by bounding boxes and a grid (numba)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
+from ..core.loops import ranges
+from ..core.threads import together
+
+LEAST_BOXES = 100  # in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -66,22 +72,18 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 
 
 @njit(cache=True, nogil=True)
-def _pairs(
-    points: Floats, reach: Floats, own: Ints, low: Floats, high: Floats, of: Ints, cell: float, room: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """As `pairs_within`, but it stores at most `room` pairs. Also returns the number of all pairs."""
-    n, most = len(points), reach.max()
-    least, greatest = bounds(low, high)
-    near = points_within(points, np.arange(n), least - most, greatest + most)
+def _sorted(points: Floats, low: Floats, high: Floats, cell: float) -> tuple[Floats, Ints, Ints, Ints]:
+    """Sort the points in the box [low, high] into cells of a grid. Returns the origin of the grid (3,) m, its numbers of cells (3,),
+    the index of the first point of each cell, and the points, cell by cell."""
+    near = points_within(points, np.arange(len(points)), low, high)
     if len(near) == 0:
-        return np.zeros(n + 1, np.int64), np.empty(0, np.int64), 0
+        return np.zeros(3), np.ones(3, np.int64), np.zeros(2, np.int64), near
     origin, end = bounds(points[near], points[near])
     shape = np.empty(3, np.int64)
     for d in range(3):
         shape[d] = int((end[d] - origin[d]) / cell) + 1
-    cells = shape[0] * shape[1] * shape[2]
     cell_of = np.empty(len(near), np.int64)
-    count = np.zeros(cells + 1, np.int64)
+    count = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
     for q in range(len(near)):
         i = near[q]
         a = int((points[i, 0] - origin[0]) / cell)
@@ -89,51 +91,85 @@ def _pairs(
         c = int((points[i, 2] - origin[2]) / cell)
         cell_of[q] = (a * shape[1] + b) * shape[2] + c
         count[cell_of[q] + 1] += 1
-    for q in range(cells):
+    for q in range(len(count) - 1):
         count[q + 1] += count[q]
     slot = count[:-1].copy()
     members = np.empty(len(near), np.int64)
     for q in range(len(near)):
         members[slot[cell_of[q]]] = near[q]
         slot[cell_of[q]] += 1
-    pair_point, pair_box = np.empty(room, np.int64), np.empty(room, np.int64)
-    pairs = 0
-    degree = np.zeros(n + 1, np.int64)
+    return origin, shape, count, members
+
+
+class _Pairing(NamedTuple):
+    """Arguments of `pairs_within`, with the largest reach (m) and the points sorted into cells (`_sorted`)."""
+
+    points: Floats
+    reach: Floats
+    own: Ints
+    low: Floats
+    high: Floats
+    of: Ints
+    cell: float
+    most: float
+    origin: Floats
+    shape: Ints
+    begin: Ints
+    members: Ints
+
+
+@njit(cache=True, nogil=True)
+def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
+    """Number of the points of other bodies within whose reach box r lies. They are written to `found` from index `at` on, if it has
+    room."""
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    for r in range(len(low)):
-        outside = False
-        for d in range(3):
-            start, stop = low[r, d] - most - origin[d], high[r, d] + most - origin[d]
-            outside = outside or stop < 0.0 or start > shape[d] * cell
-            first[d], last[d] = max(int(start / cell), 0), min(int(stop / cell), shape[d] - 1)
-        if outside:
-            continue
-        for a in range(first[0], last[0] + 1):
-            for b in range(first[1], last[1] + 1):
-                base = (a * shape[1] + b) * shape[2]
-                for q in range(count[base + first[2]], count[base + last[2] + 1]):
-                    i = members[q]
-                    p, far = points[i], reach[i]
-                    if (
-                        own[i] != of[r]
-                        and low[r, 0] - far <= p[0] <= high[r, 0] + far
-                        and low[r, 1] - far <= p[1] <= high[r, 1] + far
-                        and low[r, 2] - far <= p[2] <= high[r, 2] + far
-                    ):
-                        if pairs < room:
-                            pair_point[pairs], pair_box[pairs] = i, r
-                            degree[i + 1] += 1
-                        pairs += 1
-    stored = min(pairs, room)
+    for d in range(3):
+        start, stop = p.low[r, d] - p.most - p.origin[d], p.high[r, d] + p.most - p.origin[d]
+        if stop < 0.0 or start > p.shape[d] * p.cell:
+            return 0
+        first[d], last[d] = max(int(start / p.cell), 0), min(int(stop / p.cell), p.shape[d] - 1)
+    pairs = 0
+    for a in range(first[0], last[0] + 1):
+        for b in range(first[1], last[1] + 1):
+            base = (a * p.shape[1] + b) * p.shape[2]
+            for q in range(p.begin[base + first[2]], p.begin[base + last[2] + 1]):
+                i = p.members[q]
+                x, far = p.points[i], p.reach[i]
+                if (
+                    p.own[i] != p.of[r]
+                    and p.low[r, 0] - far <= x[0] <= p.high[r, 0] + far
+                    and p.low[r, 1] - far <= x[1] <= p.high[r, 1] + far
+                    and p.low[r, 2] - far <= x[2] <= p.high[r, 2] + far
+                ):
+                    if at + pairs < len(found):
+                        found[at + pairs] = i
+                    pairs += 1
+    return pairs
+
+
+@njit(cache=True, nogil=True)
+def _points_of_boxes(team: Ints, p: _Pairing, number: Ints, first: Ints, found: Ints) -> None:
+    """Do `_points_of_box` for all boxes, in all threads. Writes its result to number (k,); first (k,): the index of each box in
+    `found`."""
+    for lo, hi, _ in ranges(team, 0, len(number), LEAST_BOXES):
+        for r in range(lo, hi):
+            number[r] = _points_of_box(r, p, found, first[r])
+
+
+@njit(cache=True, nogil=True)
+def _by_point(n: int, first: Ints, found: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The pairs of boxes and points, point by point: start (n+1,) and boxes. first (k+1,), found: points of the boxes, box by box."""
+    start = np.zeros(n + 1, np.int64)
+    for i in found:
+        start[i + 1] += 1
     for i in range(n):
-        degree[i + 1] += degree[i]
-    free = degree[:-1].copy()
-    boxes = np.empty(stored, np.int64)
-    for q in range(stored):
-        i = pair_point[q]
-        boxes[free[i]] = pair_box[q]
-        free[i] += 1
-    return degree, boxes, pairs
+        start[i + 1] += start[i]
+    free, boxes = start[:-1].copy(), np.empty(len(found), np.int64)
+    for r in range(len(first) - 1):
+        for i in found[first[r] : first[r + 1]]:
+            boxes[free[i]] = r
+            free[i] += 1
+    return start, boxes
 
 
 def pairs_within(
@@ -144,12 +180,17 @@ def pairs_within(
 
     Returns start (n+1,) and boxes: boxes[start[i]:start[i + 1]] are the boxes of point i, ascending.
     """
-    room = 64 * len(points)
-    while True:
-        start, boxes, needed = _pairs(points, reach, own, low, high, of, cell, room)
-        if needed <= room:
-            return start, boxes
-        room = 2 * needed
+    most = float(reach.max(initial=0.0))
+    least, greatest = bounds(low, high)
+    pairing = _Pairing(
+        points, reach, own, low, high, of, cell, most, *_sorted(points, least - most, greatest + most, cell)
+    )
+    number, first = np.zeros((2, len(low)), np.int64)
+    together(_points_of_boxes, pairing, number, first, np.zeros(0, np.int64))
+    first = np.append(0, np.cumsum(number))
+    found = np.empty(first[-1], np.int64)
+    together(_points_of_boxes, pairing, number, first, found)
+    return _by_point(len(points), first, found)
 
 
 def facets_within(x: Floats, facets: Ints, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:

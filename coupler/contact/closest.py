@@ -189,19 +189,21 @@ def closest_faces(
 def reachable(
     rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, proj: Projections
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """Candidates (start, face) that the points `rows` can touch while point and faces move by travel (n,) m relative to each other.
+    """Candidates (start, face) that the points `rows` can touch while a point of the body b and a face move by travel[b] m relative to
+    each other.
 
     These candidates are at most 2 travel farther away than the closest face. With candidates of several bodies they are at most 2
-    travel farther away than limit (n,) m. A point without a closest face keeps all its candidates. Points that are not in `rows` keep
-    none.
+    travel farther away than the limit (k,) m of their row. A point without a closest face keeps all its candidates. Points that are
+    not in `rows` keep none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
     count = last = 0
-    for i in rows:
+    for q in range(len(rows)):
+        i = rows[q]
         first[last + 1 : i + 1] = count
         last = i
-        far = max(abs(proj.gap[i, 0]), limit[i]) if several_bodies(i, c, faces) else abs(proj.gap[i, 0])
-        reach = inf if proj.face[i, 0] < 0 else (far + 2.0 * travel[i]) ** 2 * (1.0 + 4e-9)
+        far = max(abs(proj.gap[i, 0]), limit[q]) if several_bodies(i, c, faces) else abs(proj.gap[i, 0])
+        reach = inf if proj.face[i, 0] < 0 else (far + 2.0 * travel[points.owner[i]]) ** 2 * (1.0 + 4e-9)
         for r in c.face[c.start[i] : c.start[i + 1]]:
             if r == proj.face[i, 0] or _box_distance2(points.x[i], faces[r].low, faces[r].high) <= reach:
                 kept[count] = r

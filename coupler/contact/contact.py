@@ -11,12 +11,13 @@ from ..core import safety
 from ..core.arrays import Floats, Ints, SpringTable, occurring
 from ..core.loops import PARTS
 from ..core.records import Shape, Sums, put
-from ..core.threads import together
+from ..core.threads import share, together
 from ..errors import SolverError
 from . import broad, closest
 from . import kernels as k
-from .model import ANY, HISTORY, Candidates, Nodes, Points, Projections, faces_of, motion, new_history
+from .model import ANY, HISTORY, Candidates, Nodes, Points, Projections, Pushes, faces_of, motion, new_history
 
+LEAST_POINTS = 4000  # in a range of a shared loop
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
@@ -85,6 +86,7 @@ class Contact(ContactState):
         super().__init__(new_history(n), np.zeros(n), np.zeros(len(facets)))
         #: Points that can touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
+        self._pushes = Pushes(*(np.zeros((0, *shape)) for shape in ((2, 3), (3, 3), (2,))))
         self._candidates = Candidates(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
         self._projections = Projections(
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
@@ -158,31 +160,32 @@ class Contact(ContactState):
             raise SolverError("positions of points or nodes are not finite numbers: try a finer preset")
         closest.box_faces(x, self.faces)
         k.add_travel(0, len(self.spacing), self._motion, x, len(x))
-        self._projections.clearance[:] -= self._motion.travel[
-            self.points.owner
-        ]  # the travel of the faces restarts from zero
+        # the travel of the faces restarts from zero
+        self._projections.clearance[self.rows] -= self._motion.travel[self.points.owner[self.rows]]
         self._motion.travel[:] = 0.0
-        speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
-        fastest = float(speed.max(initial=0.0))
-        share = speed / fastest if fastest > 0.0 else np.full(len(x), 0.5)
-        due = [body for body in range(len(self.spacing)) if not self._is_valid(body, x, travel, share, active)]
+        part = None
+        if v is not None and (fastest := float((speed := np.sqrt(np.einsum("ij,ij->i", v, v))).max(initial=0.0))) > 0.0:
+            part = speed / fastest
+        due = [body for body in range(len(self.spacing)) if not self._is_valid(body, x, travel, part, active)]
         if due:
-            self._find(due, self._start(due, x, travel, share), always, active, x)
+            self._find(due, self._start(due, x, travel, part), always, active, x)
             owner, bodies = self.points.owner, len(self.spacing)
             nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
             self._motion = motion(*nodes, x)
         return bool(due)
 
-    def _own_travel(self, body: int, travel: float, share: Floats) -> float:
-        """Largest displacement (m) of a body relative to the faces near it. share (N,): speed of each node divided by the largest
-        speed; the fastest node moves travel / 2, m."""
+    def _own_travel(self, body: int, travel: float, part: Floats | None) -> float:
+        """Largest displacement (m) of a body relative to the faces near it. part (N,): speed of each node divided by the largest
+        speed, None if it is not known; the fastest node moves travel / 2, m."""
+        if part is None:
+            return travel
         own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
-        together = share[own].max(initial=0.0) + share[self._searches[body].nodes].max(initial=0.0)
-        return travel * min(1.0, float(together))
+        both = part[own].max(initial=0.0) + part[self._searches[body].nodes].max(initial=0.0)
+        return travel * min(1.0, float(both))
 
-    def _is_valid(self, body: int, x: Floats, travel: float, share: Floats, active: int) -> bool:
+    def _is_valid(self, body: int, x: Floats, travel: float, part: Floats | None, active: int) -> bool:
         """Whether the last search of a body stays valid and no other face can come near while surfaces move by `travel` m."""
-        s, own = self._searches[body], self._own_travel(body, travel, share)
+        s, own = self._searches[body], self._own_travel(body, travel, part)
         if active > self._active[body] or s.reach <= own:
             return False
         here = slice(self.bounds[body], self.bounds[body + 1])
@@ -194,74 +197,75 @@ class Contact(ContactState):
 
     def _around(self, body: int, ids: Ints, margin: float) -> Ints:
         """Numbers of the faces among `ids` whose boxes lie within `margin` m of the bounding box of a body's points."""
-        own = self.points.x[self.bounds[body] : self.bounds[body + 1]]
-        least, most = broad.bounds(own, own)
+        own, found = self.points.x[self.bounds[body] : self.bounds[body + 1]], list[tuple[Floats, Floats]]()
+        share(lambda lo, hi: found.append(broad.bounds(own[lo:hi], own[lo:hi])), len(own), LEAST_POINTS)
+        least, most = np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
         return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
 
-    def _start(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
-        """Start the searches of the bodies `due`. Returns the relative displacement (n,) m of points and faces up to which the
-        searches are valid."""
-        far = np.zeros(len(self.history))
+    def _start(self, due: Sequence[int], x: Floats, travel: float, part: Floats | None) -> Floats:
+        """Start the searches of the bodies `due`. Returns for each body the relative displacement (bodies,) m of points and faces up
+        to which its search is valid."""
+        far = np.zeros(len(self.spacing))
         for body in due:
             s, spacing = self._searches[body], float(self.spacing[body])
             near = self._around(body, self.facing[body], spacing + 2.0 * travel)
             s.known = np.isin(self.facing[body], near, assume_unique=True)
             s.nodes = occurring(self.faces["nodes"][near], len(x))
-            own = slice(self.bounds[body], self.bounds[body + 1])
-            far[own] = self._own_travel(body, travel, share) + self._skin * spacing
-            s.reach, self._active[body] = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
-            s.point_x, s.node_x = self.points.x[own].copy(), x[s.nodes]
+            far[body], self._active[body] = self._own_travel(body, travel, part) + self._skin * spacing, np.inf
+            if self._skin > 0.0:
+                s.reach, s.node_x = float(far[body]), x[s.nodes]
+                s.point_x = self.points.x[self.bounds[body] : self.bounds[body + 1]].copy()
         return far
 
     def _find(
         self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
     ) -> None:
-        """Find the candidate faces of the points of bodies. The candidates are valid until points and faces have moved travel (n,) m
-        relative to each other."""
+        """Find the candidate faces of the points of bodies. The candidates are valid until points and faces of the body b have moved
+        travel[b] m relative to each other."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
-        due = np.isin(p.owner, bodies)
-        q: Ints | slice = slice(None) if due.all() else np.flatnonzero(due)
-        p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # a point keeps its contact down to a depth of half a spacing
-        start, face = self._pairs(q, bodies)
+        chosen = np.zeros(len(self.spacing), bool)
+        chosen[bodies] = True
+        ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
+        low, high = faces["low"][ids], faces["high"][ids]
+        state, known = np.zeros(len(p.owner), np.uint8), np.zeros(len(p.owner), bool)
+        known[self.rows] = True  # the gaps of the other points are not known
+        together(k.begin_search, chosen, travel, *broad.bounds(low, high), known, p, proj, history, state)
+        near, due = np.flatnonzero(state & k.NEAR), chosen[p.owner]
+        start, face = self._pairs(near, ids, low, high)
         # points with a friction spring are projected too, so that its energy is accounted for
-        sheared = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
+        sheared = state >= k.SHEARED
         sheared[np.asarray(always, np.int64)] = True
         rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | sheared))
-        away = due.copy()
-        proj.face[q] = -1
         self._set_candidates(due, start, face)
         # faces near a point at rest can be missing here: the contact of a sub-domain ends at its rim
         rows, still = self._moving(rows, active)
-        away[still] = False
-        known = np.zeros(len(due), bool)
-        known[self.rows] = True
-        proj.clearance[due & ~known] = -np.inf  # the gaps of points that are not in `rows` are not known
         self._project(rows, Nodes(x, x, x, active))
         # the tenth of a spacing allows for surfaces that accelerate
-        close = (proj.face[rows, 0] >= 0) & (proj.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
+        close = (proj.face[rows, 0] >= 0) & (proj.gap[rows, 0] < travel[p.owner[rows]] + 0.1 * p.spacing[rows])
         kept = rows[close | sheared[rows]]
-        away[kept] = False
+        state[:] = np.where(due, k.OUTSIDE, k.KEPT)  # a point without candidates is outside
+        state[rows] = k.AWAY
+        state[still] = state[kept] = k.KEPT
         for _ in range(2):  # with fewer candidates more points are at rest
-            limit = k.deepest(history, p, self.jump)
+            limit = k.deepest(kept, history, p, self.jump)
             self._set_candidates(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, proj))
             kept, still = self._moving(kept, active)
             if len(still) == 0:
                 break
-        history["depth"][away] = 0.0
-        away[rows] = False  # a point without candidates is outside
-        history["ignored"][away], history["body"][away] = 0.0, ANY
+        together(k.end_search, state, history)
         self.rows = np.union1d(self.rows[~due[self.rows]], kept)
+        self._pushes = Pushes(*(np.zeros((len(self.rows), *old.shape[1:])) for old in self._pushes))
 
-    def _pairs(self, q: Ints | slice, bodies: Sequence[int]) -> tuple[Ints, Ints]:
-        """Candidates (start, face) of the points q of bodies: faces whose boxes lie within the margins of these points."""
-        p, faces = self.points, self.faces
-        ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
-        few, boxes = broad.pairs_within(
-            p.x[q], p.margin[q], p.owner[q], faces["low"][ids], faces["high"][ids], faces["body"][ids], float(p.spacing[q].min())
-        )  # fmt: skip
-        start = np.zeros(len(p.owner) + 1, np.int64)
-        start[1:][q] = np.diff(few)
-        return np.cumsum(start), ids[boxes]
+    def _pairs(self, near: Ints, ids: Ints, low: Floats, high: Floats) -> tuple[Ints, Ints]:
+        """Candidates (start, face) of all points: for the points `near`, the faces ids (k,) of other bodies whose boxes low, high
+        (k,3) m lie within their margins; none for the others."""
+        p, counts = self.points, np.zeros(len(self.points.owner) + 1, np.int64)
+        if len(near) == 0:
+            return counts, near
+        own, cell = p.owner[near], float(p.spacing[near].min())
+        few, boxes = broad.pairs_within(p.x[near], p.margin[near], own, low, high, self.faces["body"][ids], cell)
+        counts[1 + near] = np.diff(few)
+        return np.cumsum(counts), ids[boxes]
 
     def _set_candidates(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
         """Replace the candidates (start, face) of the points of a mask (n,)."""
@@ -284,19 +288,26 @@ class Contact(ContactState):
             k.project, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion,
             self._projections, self.history, lost,
         )  # fmt: skip
-        self.sums.dropped += int(lost[:, 0].sum())
-        self.sums.dropped_energy += float(lost[:, 1].sum())
+        self._lose(lost)
 
     # ---- forces --------------------------------------------------------------------------------------------------
 
     def forces(self, dt: float, nodes: Nodes) -> None:
         """Add the contact forces at the positions and velocities of `points` and `nodes` to points.f and nodes.f, N, and update
         friction for a step of dt s. Of the points, only `rows` are read and written."""
-        self._project(self.rows, nodes)
-        self.sums.friction_heat += k.contact_forces(
-            self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._projections, self.history, self.heat_point,
-            self.heat_face,
+        sums = np.zeros((PARTS, 3))
+        together(
+            k.contact_forces, self.rows, dt, self.friction, self.share, self.jump, self.points, nodes, self._candidates, self.faces,
+            self._motion, self._projections, self.history, self.heat_point, self.heat_face, self._pushes, sums,
         )  # fmt: skip
+        self._lose(sums)
+        self.sums.friction_heat += float(sums[0, 2])
+
+    def _lose(self, lost: Floats) -> None:
+        """Add the points that have lost their contact, and the energy of their springs, to the sums (`kernels.project`)."""
+        if lost[:, 1].any():
+            self.sums.dropped += int(lost[:, 0].sum())
+            self.sums.dropped_energy += float(lost[:, 1].sum())
 
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
         """Points (k,) among the first `first` ones that touch in this step, and the facet (k,) under each.

@@ -3,16 +3,20 @@
 from math import inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiling import njit
-from ..core.arrays import Faces, Floats, Histories, History, Ints, Vector
+from ..core.arrays import Bools, Faces, Floats, Histories, History, Ints, Vector
 from ..core.loops import ranges
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from .closest import closest_faces
 from .law import TANGENTIAL, friction_force, normal_force, stored
-from .model import ALL, ANY, UNKNOWN, Candidates, Motion, Nodes, Points, Projections
+from .model import ALL, ANY, UNKNOWN, Candidates, Motion, Nodes, Points, Projections, Pushes
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
+LEAST_SEARCHED = 2000  # points in such a range of a search
+NEAR, SHEARED = 1, 2  # states of a point in a search, see `begin_search`
+KEPT, AWAY, OUTSIDE = 0, 1, 2  # and `end_search`
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -65,12 +69,58 @@ def _deepest(h: History, margin: float, jump: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def deepest(history: Histories, points: Points, jump: float) -> Floats:
-    """Largest depth (n,) m of each point that keeps its contact, see `_update_history`."""
-    limit = np.empty(len(history))
-    for i in range(len(history)):
-        limit[i] = _deepest(history[i], points.margin[i], jump * points.spacing[i])
+def deepest(rows: Ints, history: Histories, points: Points, jump: float) -> Floats:
+    """Largest depth (k,) m of each of the points `rows` that keeps its contact, see `_update_history`."""
+    limit = np.empty(len(rows))
+    for q in range(len(rows)):
+        i = rows[q]
+        limit[q] = _deepest(history[i], points.margin[i], jump * points.spacing[i])
     return limit
+
+
+@njit(cache=True, nogil=True)
+def begin_search(
+    team: Ints, due: Bools, travel: Floats, least: Floats, most: Floats, known: Bools, points: Points, proj: Projections, history:
+    Histories, state: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Prepare a search of the points of the bodies in the mask due (bodies,), in all threads: margins, no projection, and no known
+    gap for points that are not in the mask known (n,).
+
+    travel (bodies,) m: relative displacement of points and faces up to which the search is valid; least, most (3,) m: bounding box of
+    the faces. Writes state (n,): NEAR for points within their margin of this box, plus SHEARED for points with a friction spring.
+    """
+    for lo, hi, _ in ranges(team, 0, len(points.owner), LEAST_SEARCHED):
+        for i in range(lo, hi):
+            state[i] = 0
+            body = points.owner[i]
+            if not due[body]:
+                continue
+            far = 0.5 * points.spacing[i] + travel[body]  # a point keeps its contact down to a depth of half a spacing
+            points.margin[i] = far
+            proj.face[i, 0] = proj.face[i, 1] = -1
+            if not known[i]:
+                proj.clearance[i] = -inf
+            x, is_near = points.x[i], True
+            for d in range(3):
+                is_near = is_near and least[d] - far <= x[d] <= most[d] + far
+            if is_near:
+                state[i] = NEAR
+            if _squared(history[i]) > 0.0:
+                state[i] += SHEARED
+
+
+@njit(cache=True, nogil=True)
+def end_search(team: Ints, state: NDArray[np.uint8], history: Histories) -> None:
+    """Delete the depths of points with the state AWAY or OUTSIDE (n,), and all contact history of the latter but for their spring,
+    in all threads."""
+    for lo, hi, _ in ranges(team, 0, len(state), LEAST_SEARCHED):
+        for i in range(lo, hi):
+            h = history[i]
+            if state[i] >= AWAY:
+                h.depth[0] = h.depth[1] = 0.0
+            if state[i] == OUTSIDE:
+                h.ignored[0] = h.ignored[1] = 0.0
+                h.body[0] = h.body[1] = ANY
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -188,11 +238,12 @@ def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: f
 
 @njit(cache=True, nogil=True)
 def _friction(
-    i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History
+    i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History,
+    couple: Floats,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Friction force (3,) N on point i with the penetration pen (m), and heat (J) of its slip in a step of dt (s). Updates the spring.
 
-    The pair of friction forces acts across the gap between the two surfaces. A couple on the triangle's nodes t balances its
+    The pair of friction forces acts across the gap between the two surfaces. A couple (3,3) N on the triangle's nodes t balances its
     moment. The slip does not include the rotation of the triangle.
     """
     n0, n1, n2 = normal
@@ -233,57 +284,95 @@ def _friction(
     m0, m1, m2 = _solve3(
         yy + zz, xx + zz, xx + yy, -yz, -xz, -xy, -(l1 * g2 - l2 * g1), -(l2 * g0 - l0 * g2), -(l0 * g1 - l1 * g0)
     )  # fmt: skip
-    add(nodes.f, t[0], m1 * ra2 - m2 * ra1, m2 * ra0 - m0 * ra2, m0 * ra1 - m1 * ra0)
-    add(nodes.f, t[1], m1 * rb2 - m2 * rb1, m2 * rb0 - m0 * rb2, m0 * rb1 - m1 * rb0)
-    add(nodes.f, t[2], m1 * rc2 - m2 * rc1, m2 * rc0 - m0 * rc2, m0 * rc1 - m1 * rc0)
+    couple[0, 0], couple[0, 1], couple[0, 2] = m1 * ra2 - m2 * ra1, m2 * ra0 - m0 * ra2, m0 * ra1 - m1 * ra0
+    couple[1, 0], couple[1, 1], couple[1, 2] = m1 * rb2 - m2 * rb1, m2 * rb0 - m0 * rb2, m0 * rb1 - m1 * rb0
+    couple[2, 0], couple[2, 1], couple[2, 2] = m1 * rc2 - m2 * rc1, m2 * rc0 - m0 * rc2, m0 * rc1 - m1 * rc0
     return g0, g1, g2, heat
 
 
 @njit(cache=True, nogil=True)
+def _push(
+    i: int, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, proj: Projections, h: History, heat_point:
+    Floats, force: Floats, couple: Floats, heat: Floats,
+) -> None:  # fmt: skip
+    """Write the force (2,3) N, the couple (3,3) N and the heat (2,) J of point i, with the history h (`model.Pushes`)."""
+    force[:], couple[:], heat[:] = 0.0, 0.0, 0.0
+    k = points.stiffness[i]
+    for body in range(2):
+        g2 = _squared(h) if body == 0 else 0.0
+        pen = 0.0 if proj.face[i, body] < 0 else max(-proj.gap[i, body] - h.ignored[body], 0.0)
+        if pen == 0.0 and h.depth[body] == 0.0 and g2 == 0.0:
+            continue  # outside before and now
+        face = proj.face[i, body]
+        t = faces[face].nodes
+        if face >= 0 and min(points.node[i], t[0], t[1], t[2]) >= nodes.active:
+            continue
+        h.depth[body] = pen
+        if pen == 0.0:  # the contact opens: the energy of the friction spring becomes heat
+            if body == 0:
+                h.spring[0] = h.spring[1] = h.spring[2] = 0.0
+                if face >= 0:
+                    heat_point[i] += stored(k, 0.0, share * g2)
+                    heat[0], heat[1] = stored(k, 0.0, g2), stored(k, 0.0, (1.0 - share) * g2)
+            continue
+        A, B, C, tiny = nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]], 1e-6 * points.spacing[i]
+        n = _normal(points.x[i], A, B, C, proj.foot[i, body], proj.gap[i, body], tiny)
+        normal = normal_force(k, pen)
+        f0, f1, f2 = normal * n[0], normal * n[1], normal * n[2]
+        if mu > 0.0 and body == 0:
+            t0, t1, t2, worn = _friction(i, dt, mu, pen, n, points, nodes, t, proj, h, couple)
+            f0, f1, f2 = f0 + t0, f1 + t1, f2 + t2
+            heat_point[i] += share * worn
+            heat[0], heat[1] = worn, (1.0 - share) * worn
+        force[body, 0], force[body, 1], force[body, 2] = f0, f1, f2
+
+
+@njit(cache=True, nogil=True)
 def contact_forces(
-    rows: Ints, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, proj: Projections, history: Histories,
-    heat_point: Floats, heat_face: Floats,
-) -> float:  # fmt: skip
-    """Add the forces between the points `rows` and their closest faces to points.f and nodes.f. Returns the heat of friction, J.
+    team: Ints, rows: Ints, dt: float, mu: float, share: float, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces,
+    motion: Motion, proj: Projections, history: Histories, heat_point: Floats, heat_face: Floats, pushes: Pushes, sums: Floats,
+) -> None:  # fmt: skip
+    """`project` the points `rows`, compute the forces between them and their closest faces, and add them to points.f and nodes.f, in
+    all threads. sums (PARTS,3): as `lost` of `project`, and in the first row the heat of friction, J.
 
     Forces are opposite and equal, and their moments cancel. The penetration is minus the signed gap, less the ignored depth. The
     normal force acts along the line to the closest point (`_normal`). Friction acts only with the body in which the point lies
     deepest. heat_point (n,) and heat_face (k,) J grow by the heat of friction, heat_point by `share` of it. Springs between nodes
     that do not move do not change.
     """
-    heat = 0.0
-    for i in rows:
-        h, k = history[i], points.stiffness[i]
-        for body in range(2):
-            g2 = _squared(h) if body == 0 else 0.0
-            pen = 0.0 if proj.face[i, body] < 0 else max(-proj.gap[i, body] - h.ignored[body], 0.0)
-            if pen == 0.0 and h.depth[body] == 0.0 and g2 == 0.0:
-                continue  # outside before and now
-            face = proj.face[i, body]
-            t = faces[face].nodes
-            if face >= 0 and min(points.node[i], t[0], t[1], t[2]) >= nodes.active:
-                continue
-            h.depth[body] = pen
-            if pen == 0.0:  # the contact opens: the energy of the friction spring becomes heat
+    project(team, rows, jump, points, nodes, c, faces, motion, proj, history, sums)
+    for lo, hi, _ in ranges(team, 2, len(rows), LEAST_ROWS):
+        for q in range(lo, hi):
+            i = rows[q]
+            _push(
+                i,
+                dt,
+                mu,
+                share,
+                points,
+                nodes,
+                faces,
+                proj,
+                history[i],
+                heat_point,
+                pushes.force[q],
+                pushes.couple[q],
+                pushes.heat[q],
+            )
+    for _ in ranges(team, 3, 1, 1):  # one thread: several points act on a node
+        for q in range(len(rows)):
+            i, f, m = rows[q], pushes.force[q], pushes.couple[q]
+            sums[0, 2] += pushes.heat[q, 0]
+            if pushes.heat[q, 1] != 0.0:
+                heat_face[proj.face[i, 0]] += pushes.heat[q, 1]
+            for body in range(2):
+                if f[body, 0] == 0.0 and f[body, 1] == 0.0 and f[body, 2] == 0.0:
+                    continue
+                t = faces[proj.face[i, body]].nodes
                 if body == 0:
-                    h.spring[0] = h.spring[1] = h.spring[2] = 0.0
-                if face >= 0:
-                    heat += stored(k, 0.0, g2)
-                    heat_point[i] += stored(k, 0.0, share * g2)
-                    heat_face[face] += stored(k, 0.0, (1.0 - share) * g2)
-                continue
-            A, B, C, tiny = nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]], 1e-6 * points.spacing[i]
-            n = _normal(points.x[i], A, B, C, proj.foot[i, body], proj.gap[i, body], tiny)
-            normal = normal_force(k, pen)
-            f0, f1, f2 = normal * n[0], normal * n[1], normal * n[2]
-            if mu > 0.0 and body == 0:
-                t0, t1, t2, worn = _friction(i, dt, mu, pen, n, points, nodes, t, proj, h)
-                f0, f1, f2 = f0 + t0, f1 + t1, f2 + t2
-                heat += worn
-                heat_point[i] += share * worn
-                heat_face[face] += (1.0 - share) * worn
-            _add_pair(points.f, nodes.f, i, t, proj.foot[i, body], f0, f1, f2)
-    return heat
+                    for corner in range(3):
+                        add(nodes.f, t[corner], m[corner, 0], m[corner, 1], m[corner, 2])
+                _add_pair(points.f, nodes.f, i, t, proj.foot[i, body], f[body, 0], f[body, 1], f[body, 2])
 
 
 @njit(cache=True, nogil=True)

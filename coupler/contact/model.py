@@ -77,6 +77,16 @@ class Projections(NamedTuple):
     clearance: Floats
 
 
+class Pushes(NamedTuple):
+    """Forces of k points in a step, before they are added up. force (k,2,3) N: on the point, from each of its two bodies; couple
+    (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a point,
+    and the part of it that goes to the face."""
+
+    force: Floats
+    couple: Floats
+    heat: Floats
+
+
 class Motion(NamedTuple):
     """Motion of the candidate faces. nodes[bounds[b]:bounds[b + 1]]: nodes of the candidates of the points of body b; last (k,3) m:
     their positions at the last projection; travel (bodies,) m: upper bound on their displacements since the last search."""

@@ -7,7 +7,7 @@ The step has the form of LAMMPS (half kick, drift, forces, half kick). It is div
     target.finish()             boundary forces, work of all forces over the step
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -193,7 +193,7 @@ class Target(TargetState):
 
     def _active_counts(self, reach: float) -> tuple[int, int]:
         """Numbers of active nodes and elements with the front at `reach` m from the point of impact."""
-        elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon, self.limit)))
+        elements = int(self.mesh.reach_element.searchsorted(min(reach, self.horizon, self.limit)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
     @property
@@ -208,7 +208,9 @@ class Target(TargetState):
     def _activate(self, dt: float) -> None:
         """Advance the front, which runs ahead of the waves, by dt s, and activate the elements that it reaches."""
         self.reach += self.wave_speed * dt
-        self.active_nodes, self.active_elements = self._active_counts(self.reach)
+        m, distance = self.active_elements, self.mesh.reach_element
+        if m < len(distance) and distance[m] < min(self.reach, self.horizon, self.limit):
+            self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
     def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> float:
         """Largest stable time step, s, with safety factors and damping.
@@ -257,16 +259,14 @@ class Target(TargetState):
 
         Raises SolverError when a tetrahedron inverts.
         """
-        self.nodes = n = replace(self.nodes, f=self.nodes.f_old, f_old=self.nodes.f)
-        smallest, sums = np.full(PARTS, np.inf), np.zeros((PARTS, 3))
-        active = Active(kicked, self.active_nodes, self.active_elements)
+        sums, active = np.zeros((PARTS, 4)), Active(kicked, self.active_nodes, self.active_elements)
         together(
             k.advance, active, kick, dt, viscosity, self.cells, self._of_pressure, self._of_flow,
-            Nodes.of(n, self.f_ext, inv_mass), Elements.of(self.elements), smallest, sums,
+            Nodes.of(self.nodes, self.f_ext, inv_mass), Elements.of(self.elements), sums,
         )  # fmt: skip
-        if smallest.min() <= 0.0:
+        flipped, plastic, viscous, heat = sums.sum(axis=0).tolist()
+        if flipped:
             raise SolverError(inverted(self))
-        plastic, viscous, heat = sums.sum(axis=0).tolist()
         self.balance.plastic += plastic
         self.balance.numerical += viscous
         self.balance.heat += heat
@@ -372,7 +372,13 @@ class Target(TargetState):
 
     def velocity(self) -> np.ndarray:
         """Velocities (n,3) m/s at the time of the positions."""
-        return self.nodes.v + (0.5 * self.dt_last) * self.nodes.total * self.inv_mass[:, None]
+        n, v = self.nodes, np.empty_like(self.nodes.v)
+
+        def fill(lo: int, hi: int) -> None:
+            v[lo:hi] = n.v[lo:hi] + (0.5 * self.dt_last) * n.total[lo:hi] * self.inv_mass[lo:hi, None]
+
+        share(fill, len(v), LEAST_ELEMENTS)
+        return v
 
     def kinetic(self) -> float:
         """Kinetic energy in J: sum of m v(n-1/2).v(n+1/2) / 2, whose change in central differences is the work of the forces."""
@@ -422,6 +428,11 @@ class Target(TargetState):
 
     def stress(self) -> np.ndarray:
         """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy: deviator less mean nodal pressure."""
-        sigma = self.elements.s.copy()
-        sigma[:, :3] -= self.nodes.p[self.mesh.conn].mean(axis=1)[:, None]
+        sigma = np.empty_like(self.elements.s)
+
+        def fill(lo: int, hi: int) -> None:
+            sigma[lo:hi] = self.elements.s[lo:hi]
+            sigma[lo:hi, :3] -= self.nodes.p[self.mesh.conn[lo:hi]].mean(axis=1)[:, None]
+
+        share(fill, len(sigma), LEAST_ELEMENTS)
         return sigma

@@ -155,25 +155,26 @@ def gather_forces(lo: int, hi: int, c: Cells, fe: Floats, f: Floats) -> None:
 @njit(cache=True, nogil=True)
 def advance(
     team: Ints, active: Active, half_step: float, dt: float, viscosity: tuple[float, float], c: Cells, of_pressure: Metals, of_flow:
-    Metals, nodes: Nodes, elements: Elements, smallest: Floats, sums: Floats,
+    Metals, nodes: Nodes, elements: Elements, sums: Floats,
 ) -> None:  # fmt: skip
     """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces in the new
-    positions, in all threads. f_ext is set to zero.
+    positions, in all threads. The forces before are copied to f_old, f_ext is set to zero.
 
-    of_pressure, of_flow: metals with laws specialised for the two kernels. Written part by part: smallest (PARTS,) m3, the smallest
-    volume, and sums (PARTS,3), the results of `element_forces`.
+    of_pressure, of_flow: metals with laws specialised for the two kernels. Written part by part to sums (PARTS,4): 1 if an element is
+    inverted, 0 if none is, and the results of `element_forces`.
     """
     n, m = active.nodes, active.elements
     for lo, hi, _ in ranges(team, 0, len(nodes.x), LEAST_NODES):
         motion.kick(lo, min(hi, active.kicked), half_step, nodes.total, nodes.inv_mass, nodes.v)
         motion.drift(lo, min(hi, n), dt, nodes.v, nodes.x)
+        nodes.f_old[lo : min(hi, n)] = nodes.f[lo : min(hi, n)]
         nodes.f_ext[lo:hi] = 0.0
     for lo, hi, part in ranges(team, 1, m, LEAST_ELEMENTS):
-        smallest[part] = volumes(lo, hi, nodes.x, c.conn, elements.volume)
+        sums[part, 0] = 1.0 if volumes(lo, hi, nodes.x, c.conn, elements.volume) <= 0.0 else 0.0
     for lo, hi, _ in ranges(team, 2, n, LEAST_NODES):
         nodal_pressure(lo, hi, m, c, of_pressure, nodes, elements.volume, elements.heat)
     for lo, hi, part in ranges(team, 3, m, LEAST_ELEMENTS):
-        sums[part, 0], sums[part, 1], sums[part, 2] = element_forces(lo, hi, dt, viscosity, c, of_flow, nodes, elements)
+        sums[part, 1], sums[part, 2], sums[part, 3] = element_forces(lo, hi, dt, viscosity, c, of_flow, nodes, elements)
     for lo, hi, _ in ranges(team, 4, n, LEAST_NODES):
         gather_forces(lo, hi, c, elements.fe, nodes.f)
 

@@ -38,12 +38,13 @@ class Active(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Arrays (n,3): x (m), v (m/s), internal forces f (N), external forces f_ext (N), sum of all forces `total` (N). Arrays (n,):
-    inv_mass (1/kg), volume ratio J, pressure p (Pa), energy (J per reference m3)."""
+    """Arrays (n,3): x (m), v (m/s), internal forces f and those of the last step f_old (N), external forces f_ext (N), sum of all
+    forces `total` (N). Arrays (n,): inv_mass (1/kg), volume ratio J, pressure p (Pa), energy (J per reference m3)."""
 
     x: Floats
     v: Floats
     f: Floats
+    f_old: Floats
     f_ext: Floats
     total: Floats
     inv_mass: Floats
@@ -54,7 +55,7 @@ class Nodes(NamedTuple):
     @classmethod
     def of(cls, n: NodeState, f_ext: Floats, inv_mass: Floats) -> "Nodes":
         """The arrays of a node state, with external forces and inverse masses."""
-        return cls(n.x, n.v, n.f, f_ext, n.total, inv_mass, n.J, n.p, n.energy)
+        return cls(n.x, n.v, n.f, n.f_old, f_ext, n.total, inv_mass, n.J, n.p, n.energy)
 
 
 class Elements(NamedTuple):

@@ -29,10 +29,11 @@ PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are 
 
 
 class Response(NamedTuple):
-    """A small motion w (n,3) of the nodes, and the response of the operator: change dv (m,) of volumes, change dp (n,) of mean
-    stresses, forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of motion."""
+    """A small motion w (n,3) of the nodes, its squares (n,), and the response of the operator: change dv (m,) of volumes, change dp
+    (n,) of mean stresses, forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of motion."""
 
     w: Floats
+    square: Floats
     dv: Floats
     dp: Floats
     fe: Floats
@@ -100,16 +101,50 @@ def _forces(lo: int, hi: int, x: Floats, c: Cells, metals: Metals, r: Response) 
 
 
 @njit(cache=True, nogil=True)
-def _resist(team: Ints, n: int, m: int, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response) -> None:
-    """All kernels above, in their order, for the first n nodes and m elements, in all threads."""
-    for lo, hi, _ in ranges(team, 0, m, LEAST_ELEMENTS):
+def _square(lo: int, hi: int, w: Floats, square: Floats) -> None:
+    """Write the squares of the rows of w (n,3) to square (n,)."""
+    for a in range(lo, hi):
+        square[a] = w[a, 0] * w[a, 0] + w[a, 2] * w[a, 2] + w[a, 1] * w[a, 1]
+
+
+@njit(cache=True, nogil=True)
+def _resist(
+    team: Ints,
+    n: int,
+    m: int,
+    scale: float,
+    inverse: Floats,
+    x: Floats,
+    J: Floats,
+    c: Cells,
+    metals: Metals,
+    r: Response,
+) -> None:
+    """Multiply the motion by `scale`, by zero at nodes whose inverse mass (n,) is zero. Then do all kernels above, in their order, for
+    the first n nodes and m elements, in all threads."""
+    for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):
+        for a in range(lo, hi):
+            factor = scale if inverse[a] > 0.0 else 0.0
+            r.w[a, 0], r.w[a, 1], r.w[a, 2] = r.w[a, 0] * factor, r.w[a, 1] * factor, r.w[a, 2] * factor
+        _square(lo, hi, r.w, r.square)
+    for lo, hi, _ in ranges(team, 1, m, LEAST_ELEMENTS):
         _volume_change(lo, hi, x, c, r)
-    for lo, hi, _ in ranges(team, 1, n, LEAST_NODES):
+    for lo, hi, _ in ranges(team, 2, n, LEAST_NODES):
         _nodal_stiffening(lo, hi, J, c, metals, r)
-    for lo, hi, _ in ranges(team, 2, m, LEAST_ELEMENTS):
+    for lo, hi, _ in ranges(team, 3, m, LEAST_ELEMENTS):
         _forces(lo, hi, x, c, metals, r)
-    for lo, hi, _ in ranges(team, 3, n, LEAST_NODES):
+    for lo, hi, _ in ranges(team, 4, n, LEAST_NODES):
         gather_forces(lo, hi, c, r.fe, r.f)
+
+
+@njit(cache=True, nogil=True)
+def _respond(team: Ints, n: int, inverse: Floats, r: Response) -> None:
+    """Replace the motion of the first n nodes by the accelerations of the forces, with the inverse masses (n,), in all threads."""
+    for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):
+        for a in range(lo, hi):
+            for d in range(3):
+                r.w[a, d] = r.f[a, d] * inverse[a]
+        _square(lo, hi, r.w, r.square)
 
 
 def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
@@ -148,7 +183,7 @@ class HighestFrequency(FrequencyState):
         self._random = np.random.default_rng(1)
         super().__init__(np.zeros((nodes, 3)), dict(self._random.bit_generator.state))
         dp, f = np.zeros(nodes), np.zeros((nodes, 3))
-        self._r = Response(self.w, np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
+        self._r = Response(self.w, np.zeros(nodes), np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
         self._elements = 0  # number of elements in the last call
 
     def state(self) -> FrequencyState:
@@ -192,17 +227,17 @@ class HighestFrequency(FrequencyState):
         worst = np.argpartition(t.dt_of[:m], min(PERTURBED_ELEMENTS, m - 1))[:PERTURBED_ELEMENTS]
         near = np.unique(mesh.conn[worst])
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))
-        omega2 = 0.0
+        omega2, scale, mass, square = 0.0, 1.0, mass[:n], self._r.square[:n]
+        whole = mass.sum()
         for _ in range(4 if self.warm else 25):
-            w *= (inverse[:n] > 0)[:, None]
-            before = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
-            together(_resist, n, m, t.nodes.x, t.nodes.J, t.cells, t.metals, self._r)
+            together(_resist, n, m, scale, inverse, t.nodes.x, t.nodes.J, t.cells, t.metals, self._r)
+            before = float(mass @ square) + inertia.twice_kinetic(w)
             if springs is not None:
                 springs.resist(self._r.w, f, n)
             inertia.slow(f)
-            w[:] = f[:n] * inverse[:n, None]
-            after = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
-            omega2 = np.sqrt(after / before)
-            w *= 1.0 / np.sqrt(after / mass[:n].sum())
+            together(_respond, n, inverse, self._r)
+            after = float(mass @ square) + inertia.twice_kinetic(w)
+            omega2, scale = np.sqrt(after / before), float(1.0 / np.sqrt(after / whole))
+        w *= scale
         self.warm = True
         return float(min(max(safety.MESH * 2.0 / np.sqrt(omega2), bound), safety.LONGEST * bound))

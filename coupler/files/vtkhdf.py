@@ -33,6 +33,8 @@ UNITS = {
 COMPONENTS = {3: ["x", "y", "z"], 6: ["xx", "yy", "zz", "xy", "yz", "xz"]}
 SPARE = 2**20  # bytes that a step may need for headers and indices
 CHUNK = 2**16  # most rows of a chunk
+#: Tables of steps whose values seldom change. The first value is the fill value: until another one is written, rows are not written.
+USUAL = tuple(f"Steps/{name}" for name in ("PartOffsets", "NumberOfParts", "CellOffsets", "ConnectivityIdOffsets"))
 
 
 @dataclass
@@ -69,6 +71,7 @@ class VtkHdfWriter:
         # Data sets stay open: a failure to write when a data set is closed would not be reported
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
+        self._usual: dict[str, np.integer] = {}  # the value of all rows so far, of tables in USUAL
         # (data set, first row) -> digest of the values, packed chunk, of the last step: many chunks do not change between steps
         self._chunks: dict[tuple[str, int], tuple[bytes, bytes]] = {}
 
@@ -146,13 +149,13 @@ class VtkHdfWriter:
         for group, data in fields.items():
             for i, name in enumerate(sorted(data)):
                 start = self._append(state, f"{group}/{name}", data[name], packed[f"{group}/{name}"])
-                if i == 0:
+                if i == 0 and group == "CellData":
                     put(f"{group}Offsets/{name}", start)
-        if state.steps == 1:  # all fields begin at the same rows, because their chunks have the same length
+        if state.steps == 1:  # points and all fields begin at the same rows, because their chunks have the same length
             for group, fields_ in zip(("PointData", "CellData"), names, strict=True):
                 offsets = self._root[f"Steps/{group}Offsets"]
-                for name in fields_[1:]:
-                    offsets[name] = offsets[fields_[0]]
+                for name in fields_[group == "CellData" :]:
+                    offsets[name] = self._root["Steps/PointOffsets"] if group == "PointData" else offsets[fields_[0]]
         self._file.flush()
         # the count comes before the time: VTK fails if there are more times than steps
         self._count.write(np.array(state.steps))
@@ -207,10 +210,12 @@ class VtkHdfWriter:
         chunks (`_packed`); they start at a new chunk. A written chunk never changes, so that a crash cannot damage older steps."""
         start, tail = state.rows.get(name, 0), values.shape[1:]
         if name not in self._data:
+            if name in USUAL:
+                self._usual[name] = values.flat[0]
             long = packed is not None or len(values) > 1
             self._data[name] = self._root.create_dataset(
                 name, (0, *tail), values.dtype, maxshape=(None, *tail), chunks=(self._chunk(name, values) if long else 256, *tail),
-                compression=1 if long else None, shuffle=long,
+                compression=1 if long else None, shuffle=long, fillvalue=self._usual.get(name),
             )  # fmt: skip
             if (unit := UNITS.get(name.rpartition("/")[2])) is not None and "Offsets" not in name:
                 self._data[name].attrs["units"] = np.bytes_(unit)
@@ -225,7 +230,10 @@ class VtkHdfWriter:
             data.id.set_extent((start + len(values), *tail))
             for i, chunk in enumerate(packed):
                 data.id.write_direct_chunk((start + i * rows, *zeros), chunk)
+        elif name in self._usual and values.flat[0] == self._usual[name]:
+            data.id.set_extent((start + 1, *tail))
         elif len(values):
+            self._usual.pop(name, None)
             data.id.set_extent((start + len(values), *tail))
             space = data.id.get_space()
             space.select_hyperslab((start, *zeros), values.shape)

@@ -170,7 +170,7 @@ class Impact(Course):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
         self.force = self.contact.points.f[self.contact.rows].sum(axis=0)
-        self.deepest = max(self.deepest, float(self.contact.depth.max()))
+        self.deepest = max(self.deepest, float(self.contact.depth[self.contact.rows].max(initial=0.0)))
 
     def advance_target(self) -> None:
         """Advance the target by one step, which needs no data of the particle."""
@@ -181,8 +181,7 @@ class Impact(Course):
         """Compute contact and bonds at n+1, and add their forces to both domains."""
         p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
         rows, points = self.contact.rows, self.contact.points
-        points.f[rows] = 0.0
-        s.moving_contacts(p.x, p.v, rows, points.x, points.v)
+        s.moving_contacts(p.x, p.v, rows, points.x, points.v, points.f)
         self.contact.forces(dt, Nodes(t.nodes.x, t.nodes.v, t.f_ext, len(t.nodes.x)))
         if self.bonds is not None:
             self.bonds.forces(points.x, t.nodes.x, points.f, t.f_ext, self.contact)

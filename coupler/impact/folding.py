@@ -1,7 +1,5 @@
 """Self-contact of a particle: walls of a hollow sphere, ends of a rod, lobes of a powder."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..contact.contact import Contact
@@ -24,8 +22,8 @@ class _OwnContact(Contact):
         super().__init__(body, triangles, faces, [stiffness], [spacing], friction, skin=SKIN)
         self._undeformed, self._centres = vertices, vertices[triangles].mean(axis=1)
 
-    def _pairs(self, q: Ints | slice, bodies: Sequence[int]) -> tuple[Ints, Ints]:
-        start, face = super()._pairs(q, bodies)
+    def _pairs(self, near: Ints, ids: Ints, low: Floats, high: Floats) -> tuple[Ints, Ints]:
+        start, face = super()._pairs(near, ids, low, high)
         point = np.repeat(np.arange(len(start) - 1), np.diff(start))
         away = self._undeformed[point] - self._centres[face]
         kept = np.einsum("ij,ij->i", away, away) > (APART * self.spacing[0]) ** 2

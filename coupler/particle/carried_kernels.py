@@ -10,14 +10,17 @@ LEAST_ROWS = 50  # in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True)
-def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats) -> None:
-    """Write W x and W v to the given rows of out_x and out_v (k,3), in all threads. x, v (n,3); W: sparse matrix, given by start
-    (k+1,), columns, weights (CSR)."""
+def combine_both(
+    team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats, zero: Floats
+) -> None:
+    """Write W x, W v and zero to the given rows of out_x, out_v and `zero` (k,3), in all threads. x, v (n,3); W: sparse matrix, given
+    by start (k+1,), columns, weights (CSR)."""
     start, columns, weights = W
     for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
         for r in rows[lo:hi]:
             products_of_rows(r, r + 1, start, columns, weights, x, out_x)
             products_of_rows(r, r + 1, start, columns, weights, v, out_v)
+            zero[r, 0] = zero[r, 1] = zero[r, 2] = 0.0
 
 
 @njit(cache=True, nogil=True)

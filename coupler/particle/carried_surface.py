@@ -67,10 +67,11 @@ class CarriedSurface:
         return times_rows(self.touching, x)
 
     def moving_contacts(
-        self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray
+        self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray, out_f: np.ndarray
     ) -> None:
-        """`contacts` for positions x and velocities v (n,3), written to the given rows of out_x and out_v, in all threads."""
-        together(k.combine_both, rows, self._touching, x, v, out_x, out_v)
+        """`contacts` for positions x and velocities v (n,3), written to the given rows of out_x and out_v, and zero to those of out_f,
+        in all threads."""
+        together(k.combine_both, rows, self._touching, x, v, out_x, out_v, out_f)
 
     def spread(self, forces: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
         """Add forces (k+n,3) on the given rows of `contacts` to the forces out (n,3) on the points `support(rows)`. Resultant,

@@ -1,8 +1,8 @@
 """The particle with two compiled passes over points and pairs (`particle.compiled_kernels`), in the form of MACHDYN.
 
-LAMMPS stores, integrates and distributes the points. Neighbours are those of the reference configuration: lists are made once. With
-several ranks LAMMPS provides x and vest of neighbours on other ranks; between the passes the ranks exchange F, Q and the plastic
-strain of these points with fixed lists. No sum depends on the division of the points.
+LAMMPS stores and distributes the points; their motion is integrated here, in all threads. Neighbours are those of the reference
+configuration: lists are made once. With several ranks LAMMPS provides x and vest of neighbours on other ranks; between the passes the
+ranks exchange F, Q and the plastic strain of these points with fixed lists. No sum depends on the division of the points.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,6 +17,7 @@ from ..core.loops import PARTS
 from ..core.records import Rows
 from ..core.threads import share, together
 from ..errors import SolverError
+from ..physics import motion
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
 from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides
@@ -151,7 +152,8 @@ class CompiledParticle(Particle):
         try:
             self._stress(failed, (self.dt, self._special, self._scheme, self._sides, m, d, self._state))
         finally:
-            self._skip_step()
+            if self.comm.size > 1:
+                self._skip_step()
         if failed.max() >= 0:
             self._refuse(int(failed[failed >= 0][0]))
         is_last = self._steps_left == 0
@@ -170,6 +172,8 @@ class CompiledParticle(Particle):
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. If the gradient of plastic strain hardens the metal, the plastic strain of the chunk of steps is added
         to the gradient."""
+        p = self.points
+        together(motion.begin_all, dt, self.mass, p.f, p.x, p.v, p.vest)
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
@@ -181,6 +185,10 @@ class CompiledParticle(Particle):
             grown[: self.n] = self.points.eps_p - before
             self._swap(self._sends, self._receives, grown[:, None])
             k.grow_gradients(self.n, grown, self._sides, self._deformation, self.points.eps_gradient)
+
+    def _book(self, work: np.ndarray) -> None:
+        p, is_last = self.points, self._steps_left == 0
+        together(motion.end_all, self.dt, is_last, self.mass, p.f_old, p.f, self.f_ext, p.x, p.v, p.vest, work)
 
     def _end_chunk(self) -> None:
         """Add plastic work and losses of the chunk of steps to the sums, and heat the points by the losses if the law has
@@ -228,15 +236,15 @@ class CompiledParticle(Particle):
         return super().carried() | {"eps_gradient": turned}
 
     def stress(self) -> np.ndarray:
-        s = self.points.smd_stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        R = self.points.R.reshape(-1, 3, 3)
-        T = np.empty((self.n, 9))
+        R, turned = self.points.R.reshape(-1, 3, 3), np.empty((self.n, 6))
 
         def turn(lo: int, hi: int) -> None:
-            np.matmul(R[lo:hi] @ s[lo:hi], R[lo:hi].transpose(0, 2, 1), out=T[lo:hi].reshape(-1, 3, 3))
+            s = self.points.smd_stress[lo:hi, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+            T = (R[lo:hi] @ s) @ R[lo:hi].transpose(0, 2, 1)
+            turned[lo:hi] = T.reshape(-1, 9)[:, [0, 4, 8, 5, 2, 1]]
 
         share(turn, self.n, LEAST_POINTS)
-        return T[:, [0, 4, 8, 5, 2, 1]]
+        return turned
 
 
 def _by_rank(rows: Sequence[np.ndarray]) -> RowsOfRanks:

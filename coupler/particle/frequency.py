@@ -14,7 +14,7 @@ import numpy as np
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
-from ..core.loops import ranges
+from ..core.loops import PARTS, ranges
 from ..core.threads import share, together
 from ..geometry.matrix_kernels import ZERO, add_outer, applied, inverse, matrix_of, product, transposed
 from ..geometry.vector_kernels import apart, dot
@@ -102,6 +102,33 @@ def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, tota
         k.sum_forces(lo, hi, sides, small.force, total)
 
 
+@njit(cache=True, nogil=True)
+def stir(team: Ints, stiffest: float, stiffness: Floats, random: Floats, mode: Floats, u: Floats, sums: Floats) -> None:
+    """Write the random motion (n,3) of the points, weighted with (stiffness / stiffest)^2, to u, and the squares of u and of the mode
+    (n,3) to sums (PARTS,2), part by part, in all threads."""
+    for lo, hi, part in ranges(team, 0, len(stiffness), LEAST_POINTS):
+        own = before = 0.0
+        for i in range(lo, hi):
+            weight = (stiffness[i] / stiffest) ** 2
+            for d in range(3):
+                u[i, d] = weight * random[i, d]
+                own += u[i, d] * u[i, d]
+                before += mode[i, d] * mode[i, d]
+        sums[part, 0], sums[part, 1] = own, before
+
+
+@njit(cache=True, nogil=True)
+def combine(team: Ints, a: float, x: Floats, b: float, y: Floats, out: Floats, sums: Floats) -> None:
+    """Write a x + b y to out (n,3), and its square to sums (PARTS,), part by part, in all threads."""
+    for lo, hi, part in ranges(team, 0, len(x), LEAST_POINTS):
+        square = 0.0
+        for i in range(lo, hi):
+            for d in range(3):
+                out[i, d] = a * x[i, d] + b * y[i, d]
+                square += out[i, d] * out[i, d]
+        sums[part] = square
+
+
 class PointFrequency:
     """Power iteration on the points of one rank, together with the points of all other ranks."""
 
@@ -131,34 +158,40 @@ class PointFrequency:
         """
         share(lambda lo, hi: stiffness_points(lo, hi, self._sides, F, self._stiffness), len(J), LEAST_POINTS)
         largest = max(self._gather(float(self._stiffness.max(initial=0.0))))
-        stirred = (self._stiffness / largest)[:, None] ** 2 * self._random
-        stirred *= STIRRED / self._size(stirred)
-        before = self._size(mode)
-        u = self._small.u[: len(J)]
-        u[:] = mode / before + stirred if before > 0.0 else self._random
-        size = self._size(u)
+        u, sums = self._small.u[: len(J)], np.zeros((PARTS, 2))
+        together(stir, largest, self._stiffness, self._random, mode, u, sums)
+        stirred, before = (self._total(parts) for parts in sums.T)
+        if before > 0.0:
+            size = self._combine(1.0 / before, mode, STIRRED / stirred, u, u)
+        else:
+            size = self._combine(1.0, self._random, 0.0, self._random, u)
         for _ in range(NEXT if before > 0.0 else FIRST):
-            u /= size
-            self._accelerate(F, J)
-            size = self._size(u)
-        omega2 = size  # of a vector of length 1
+            size = self._accelerate(F, J, size)
+        omega2 = size
         limit = 2.0 / np.sqrt(omega2)
         if not limit > 0.0:
             return np.nan
-        mode[:] = u * (limit / omega2)
+        self._combine(limit / omega2, u, 0.0, u, mode)
         ahead = limit * min(1.0, limit / before) if before > 0.0 else limit
         return float(2.0 ** (np.floor(GRID * np.log2(ahead)) / GRID))
 
-    def _size(self, a: np.ndarray) -> float:
-        """Root of the sum of squares over all points of all ranks."""
-        return float(np.sqrt(sum(self._gather(float(np.einsum("ij,ij->", a, a))))))
+    def _combine(self, a: float, x: np.ndarray, b: float, y: np.ndarray, out: np.ndarray) -> float:
+        """Write a x + b y to out (n,3). Returns the root of its sum of squares over all points of all ranks."""
+        sums = np.zeros(PARTS)
+        together(combine, a, x, b, y, out, sums)
+        return self._total(sums)
 
-    def _accelerate(self, F: np.ndarray, J: np.ndarray) -> None:
-        """Replace the small motion u of the points by minus the accelerations that it causes."""
+    def _total(self, parts: np.ndarray) -> float:
+        """Root of the sum of squares (PARTS,) over all ranks."""
+        return float(np.sqrt(sum(self._gather(float(parts.sum())))))
+
+    def _accelerate(self, F: np.ndarray, J: np.ndarray, size: float) -> float:
+        """Replace the small motion u of the points, of this size, by minus the accelerations that it causes, divided by `size`.
+        Returns the new size."""
         n, small = len(J), self._small
         self._fetch(small.u)
         together(linear_stress, n, self._law, self._volume, self._sides, self._X, F, J, small)
         self._fetch(small.Q, small.residual)
         together(linear_forces, n, self._sides, self._pairs, small, self._f)
         self._slow(self._f)
-        np.divide(self._f, -self._mass, out=small.u[:n])
+        return self._combine(-1.0 / (self._mass * size), self._f, 0.0, self._f, small.u[:n])

@@ -1,8 +1,9 @@
-"""The impacting particle: total-Lagrangian SPH. LAMMPS stores and integrates its points and divides them among ranks.
+"""The impacting particle: total-Lagrangian SPH. LAMMPS stores its points, divides them among ranks and runs the steps.
 
 In each step LAMMPS calls back (`fix external`) between its pair forces and its velocity update, with positions at n+1 and velocities
 at n+1/2. In this callback an engine (`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and internal
-forces, and the coupler writes `f_ext`.
+forces, and the coupler writes `f_ext`. The motion of the points is integrated by LAMMPS (MACHDYN) or by the engine, with the same
+numbers.
 """
 
 from abc import ABC, abstractmethod
@@ -55,7 +56,7 @@ class Numerics:
 class PointState(MetalState):
     """State of n points with any engine: a new particle with this state continues with the same numbers.
 
-    Arrays with lammps=True are stored and integrated by LAMMPS and have its names: x (m), v and vest (m/s), f (N), esph (J/kg) ...
+    Arrays with lammps=True are stored by LAMMPS and have its names: x (m), v and vest (m/s), f (N), esph (J/kg) ...
     State of the law: rate (1/s); sigma_y (Pa); J: volume ratio; p (Pa); energy, plastic work: J per reference m3. f_old (N): internal
     forces of the last step. Engines add further arrays.
     """
@@ -197,7 +198,6 @@ class Particle(LocalState, ABC):
         p.v[:] = p.vest[:] = velocities[self.ids] if velocities.ndim == 2 else velocities
         p.eff_plastic_strain[:] = p.sigma_y / H
         self._start_engine()
-        self._f_out = self.lmp.numpy.fix_external_get_force("coupler")  # LAMMPS adds them to f
         self.mass = self._mass.copy()
 
     def _lammps(self, name: str) -> np.ndarray:
@@ -230,7 +230,7 @@ class Particle(LocalState, ABC):
         self._end_chunk()
 
     def _callback(self) -> None:
-        """Work between the pair forces and the kick of LAMMPS: stress and internal forces, `on_step`, all forces to LAMMPS."""
+        """Work between the pair forces of LAMMPS and the end of its step: stress and internal forces, `on_step`, sums of forces."""
         if self._on_step is None:
             return
         self._try(self._move_on if self.failure is None else self._skip_step)
@@ -256,9 +256,15 @@ class Particle(LocalState, ABC):
     def _hand_over(self) -> None:
         self._add_inertia()
         if self.failure is None:
-            work, p = np.zeros(PARTS), self.points
-            together(motion.book, self.dt, p.f_old, p.f, p.v, self.f_ext, self._f_out, work)
+            work = np.zeros(PARTS)
+            self._book(work)
             self.internal_work -= float(work.sum())
+
+    def _book(self, work: np.ndarray) -> None:
+        """Compute the work of the internal forces in this step, part by part, in work (PARTS,) J, and add the external forces to
+        f. LAMMPS then makes the velocities of n+1, unless the engine does."""
+        p = self.points
+        together(motion.book_all, self.dt, p.f_old, p.f, p.v, self.f_ext, work)
 
     @abstractmethod
     def _update_stress(self) -> None:
@@ -324,7 +330,7 @@ class Particle(LocalState, ABC):
     def totals(self) -> PointTotals:
         """Sums and extremes over these points, between runs. Raises SolverError as `stable_dt`."""
         plastic, _, viscosity, hourglass = self.sums.tolist()
-        dt, parts, p = self.stable_dt(), np.zeros((PARTS, 6)), self.points  # LAMMPS has added f_ext to f
+        dt, parts, p = self.stable_dt(), np.zeros((PARTS, 6)), self.points
         together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)
         kinetic, stored, *momentum = parts[:, :5].sum(axis=0).tolist()
         return PointTotals(

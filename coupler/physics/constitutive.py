@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
+from ..core.threads import share
 from . import strength
 from .materials import Material
 from .strength import Numbers as Law
@@ -305,10 +306,23 @@ def von_mises_squared(sxx: float, syy: float, szz: float, syz: float, sxz: float
     return 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
 
 
+LEAST = 4000  # tensors in a range of a shared loop
+
+
 def von_mises(stress: NDArray) -> NDArray[np.float64]:
     """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, in the unit of the tensors."""
-    deviator = stress[:, :3] - stress[:, :3].mean(axis=1)[:, None]
-    return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
+    found = np.empty(len(stress))
+    share(lambda lo, hi: _equivalent(lo, hi, stress, found), len(stress), LEAST)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _equivalent(lo: int, hi: int, stress: NDArray, found: Floats) -> None:
+    """Write the equivalent stress of each tensor to found (n,)."""
+    for i in range(lo, hi):
+        s = stress[i]
+        mean = (s[0] + s[1] + s[2]) / 3.0
+        found[i] = sqrt(von_mises_squared(s[0] - mean, s[1] - mean, s[2] - mean, s[3], s[4], s[5]))
 
 
 def sound_speed(rho: float, K: float, G: float) -> float:

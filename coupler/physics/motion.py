@@ -38,14 +38,56 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 
 @njit(cache=True, nogil=True)
-def book(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, out: Floats, work: Floats) -> None:
-    """Compute `work_of` all rows, for each part, in work (PARTS,) J. Then f is copied to f_old, `more` to out, and `more` is set to
-    zero."""
-    for lo, hi, part in ranges(team, 0, len(f_old), LEAST):
-        work[part] = work_of(lo, hi, dt, f_old, f, v)
+def book(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats) -> float:
+    """Returns `work_of` the rows, J. Then f is copied to f_old, `more` is added to f, and `more` is set to zero."""
+    work = work_of(lo, hi, dt, f_old, f, v)
+    for a in range(lo, hi):
+        for d in range(3):
+            f_old[a, d] = f[a, d]
+            f[a, d], more[a, d] = f[a, d] + more[a, d], 0.0
+    return work
+
+
+@njit(cache=True, nogil=True)
+def book_all(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, work: Floats) -> None:
+    """Do `book` for all rows, in all threads. Its result is written to work (PARTS,) J, part by part."""
+    for lo, hi, part in ranges(team, 0, len(f), LEAST):
+        work[part] = book(lo, hi, dt, f_old, f, v, more)
+
+
+@njit(cache=True, nogil=True)
+def begin_step(lo: int, hi: int, dt: float, mass: Floats, f: Floats, x: Floats, v: Floats, ahead: Floats) -> None:
+    """First part of a velocity Verlet step, as `fix smd/integrate_tlsph` of LAMMPS: v at n+1/2, x at n+1, and an estimate of the
+    velocity at n+1 in `ahead`."""
+    for a in range(lo, hi):
+        half = 0.5 * dt / mass[a]
+        for d in range(3):
+            v[a, d] += half * f[a, d]
+            ahead[a, d] = v[a, d] + half * f[a, d]
+            x[a, d] += dt * v[a, d]
+
+
+@njit(cache=True, nogil=True)
+def begin_all(team: Ints, dt: float, mass: Floats, f: Floats, x: Floats, v: Floats, ahead: Floats) -> None:
+    """Do `begin_step` for all rows, in all threads."""
+    for lo, hi, _ in ranges(team, 0, len(f), LEAST):
+        begin_step(lo, hi, dt, mass, f, x, v, ahead)
+
+
+@njit(cache=True, nogil=True)
+def end_all(
+    team: Ints, dt: float, is_last: bool, mass: Floats, f_old: Floats, f: Floats, more: Floats, x: Floats, v: Floats, ahead: Floats,
+    work: Floats,
+) -> None:  # fmt: skip
+    """`book_all`, then the second part of the step: v at n+1. Unless the step is the last one, `begin_step` of the next step."""
+    for lo, hi, part in ranges(team, 0, len(f), LEAST):
+        work[part] = book(lo, hi, dt, f_old, f, v, more)
         for a in range(lo, hi):
+            half = 0.5 * dt / mass[a]
             for d in range(3):
-                f_old[a, d], out[a, d], more[a, d] = f[a, d], more[a, d], 0.0
+                v[a, d] += half * f[a, d]
+        if not is_last:
+            begin_step(lo, hi, dt, mass, f, x, v, ahead)
 
 
 @njit(cache=True, nogil=True)

@@ -86,9 +86,11 @@ def test_a_few_rows_are_those_of_all_and_need_only_their_support(body, rng: np.r
     blind = np.full_like(v, np.nan)
     blind[need] = v[need]
     out, twice = np.full_like(whole, 7.0), np.full_like(whole, 7.0)
-    surface.moving_contacts(blind, 2.0 * blind, rows, out, twice)
+    surface.moving_contacts(blind, 2.0 * blind, rows, out, twice, force := np.ones_like(out))
     assert np.array_equal(out[rows], whole[rows])
     assert np.array_equal(twice[rows], 2.0 * whole[rows])
+    assert not force[rows].any()
+    assert np.all(np.delete(force, rows, axis=0) == 1.0)
     assert np.all(np.delete(out, rows, axis=0) == 7.0)
     f = np.zeros_like(whole)
     f[rows] = rng.standard_normal((len(rows), 3))
