@@ -60,7 +60,7 @@ def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
     row |= {
         "used": r["method"], "result": "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
-        "lost_mass": splat.lost_mass / cloud.mass.sum(), "volume_before": r["volume_error_before"],
+        "lost_mass": r["lost_points"] / len(cloud.x), "volume_before": r["volume_error_before"],
         "moved_spacings": r["moved_m"] / dx, "gamma_min": r["gamma_min"], "gamma_mean": r["gamma_mean"],
         "dihedral_deg": r["dihedral_min_deg"], "step_over_size": r["step_length_min_m"] / r["element_size_m"],
         "width": r["width_m"] / r["source_width_m"] - 1.0, "top_spacings": (r["top_m"] - r["source_top_m"]) / dx,

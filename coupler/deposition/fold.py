@@ -156,7 +156,7 @@ class Deposition:
     def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
         """Store the records of a batch. before, after: the bodies before and after the batch; is_written: whether the batch has
         written into the files of the run."""
-        replay, elements = BatchReplay(before, after), len(before.target.mesh.conn)
+        replay, elements = BatchReplay(self.plan, before, after), len(before.target.mesh.conn)
         for each in done:
             replay.add(each.task, each.cut, each.of, simulated(self.records))
             elements += len(each.of.bodies.target.elements.T) - len(each.task.bodies.target.elements.T)
@@ -175,7 +175,7 @@ class Deposition:
         self.options.progress.stage("cooling to ambient temperature")
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
         t = target.target
-        thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
+        thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(self.plan, target)}
         self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, joint_fields(target), thermal)
         return target
 

@@ -8,8 +8,9 @@ import numpy as np
 from ..contact.overlap import overlaps
 from ..errors import SolverError, SplatError
 from ..files.summary import Values
-from ..impact.domains import Domains
+from ..impact.domains import Domains, metals_of
 from ..impact.run import ImpactOutcome
+from ..physics.adhesion import Adhesion
 from ..physics.constitutive import sound_speed
 from ..physics.metal import carried
 from ..plan.batches import Batch
@@ -95,7 +96,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     states = [
         BodyState(
-            points=b.points, tets=b.tets, mass=float(cloud.mass[b.cloud_index].sum()), law=particle.law,
+            points=b.points, tets=b.tets, mass=float(particle.mass[b.cloud_index].sum()), law=particle.law[[int(b.is_core)]],
             stress=np.asarray(b.stress), J=np.asarray(b.J), velocity=np.asarray(b.velocity), energy=np.asarray(b.energy), **carried(b),
         )
         for b in splat.bodies
@@ -103,11 +104,19 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     bonded = bonds.bonded_points(domains.surface.contacts(particle.x)) if bonds is not None else None
     ratio = plan.impacts[i].velocity_ratio
     own = plan.impacts[i].material
-    materials = [plan.target.material, *(plan.impacts[k - 1].material for k in domains.bodies.impact[1:])]
-    partners = np.array([plan.adhesion.joins(own, each) for each in (*materials, *[own] * len(states))])
-    new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded, partners)
+    kept = np.concatenate([body.cloud_index for body in splat.bodies])
+    shells, cores = (
+        [each for each, b in zip(states, splat.bodies, strict=True) if b.is_core == k] for k in (False, True)
+    )
+    materials = [*metals_of(plan, domains.bodies), *[own] * len(shells)]
+    partners = np.array([plan.adhesion.joins(own, each) for each in materials])
+    size = plan.splat_element_size
+    new = domains.bodies.joined(shells, plan.adhesion, size, place, ratio, i + 1, bonded, partners)
+    if cores:
+        of_shell = np.append(new.impact == i + 1, np.ones(len(cores), bool))
+        new = new.joined(cores, Adhesion(kind="tied"), size, place, None, i + 1, partners=of_shell)
     return new, {
-        "bodies": len(splat.bodies), "lost_mass_kg": splat.lost_mass, "conversion": splat.report,
+        "bodies": len(splat.bodies), "lost_mass_kg": float(np.delete(particle.mass, kept).sum()), "conversion": splat.report,
         "bonds": len(new.bond) if new.bond is not None else 0, "elements": len(new.target.mesh.conn),
     }  # fmt: skip
 
@@ -147,8 +156,8 @@ def cloud_of(domains: Domains) -> Cloud:
     particle, surface, law = domains.particle, domains.whole_surface, domains.particle.law[0]
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
-        velocity=np.array(particle.v),
+        velocity=np.array(particle.v), core=particle.law_of == 1 if len(particle.law) > 1 else None,
         stress=particle.stress(), J=np.array(particle.points.J), energy=np.array(particle.points.energy), **particle.carried(),
         surface=(surface.positions(particle.x), surface.triangles),
-        wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
+        wave_speed=max(sound_speed(float(r["rho"]), float(r["K"]), float(r["G"])) for r in particle.law),
     )  # fmt: skip

@@ -19,6 +19,7 @@ from ..fe.heat import take_heat
 from ..fe.model import Elements
 from ..files.summary import Values
 from ..geometry.triangles import areas
+from ..impact.domains import metals_of
 from ..physics.constitutive import heat_capacities, pressures, yield_stresses
 from ..physics.materials import Material
 from ..physics.recovery import recovery_of
@@ -84,8 +85,8 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
             recover(plan.cooling_time / STEPS_OF_RECOVERY)
         t.elements.T[:] = hot
     _balance(bodies, kinetic_0, np.inf, known)
-    came = [(metal, plan.target.temperature) for metal in plan.target.materials]
-    came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[len(came) :]]
+    at_first = [plan.impacts[i - 1].temperature if i else plan.target.temperature for i in bodies.impact]
+    came = list(zip(metals_of(plan, bodies), at_first, strict=True))
     before = {
         "T_max_before_K": float(t.elements.T.max()),
         "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
@@ -135,9 +136,7 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
     if not plan.effects.recovery:
         return lambda _: None
     t = bodies.target
-    metals = [*plan.target.materials]
-    metals += [plan.impacts[i - 1].material for i in bodies.impact[len(metals) :]]
-    laws = [recovery_of(metal) for metal in metals]
+    laws = [recovery_of(metal) for metal in metals_of(plan, bodies)]
     known = {law: np.isin(t.law_of, [k for k, own in enumerate(laws) if own is law]) for law in laws if law is not None}
 
     def yields(rows: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from ..files.result import Result
 from ..files.store import Store, StoreState
 from ..impact.recorder import cell_fields
+from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.cut import Cut
 from .task import Task, TaskResult
@@ -32,12 +33,12 @@ class BatchReplay:
     """Files of a batch on the full domain. Its impacts are written one after another, each on the bodies after the earlier impacts. The
     data are copies: they can be written after the bodies have changed."""
 
-    def __init__(self, before: Bodies, after: Bodies):
+    def __init__(self, plan: Plan, before: Bodies, after: Bodies):
         """before, after: the bodies before and after the batch."""
         self._points, self._cells = before.target.nodes.x.copy(), before.target.mesh.conn
-        self._fields = cell_fields(before)
+        self._fields = cell_fields(plan, before)
         self._x_after, self._cells_after = after.target.nodes.x.copy(), after.target.mesh.conn
-        self._fields_after = cell_fields(after)
+        self._fields_after = cell_fields(plan, after)
         self._impacts: list[_Written] = []
 
     def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> None:

@@ -165,10 +165,10 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
     report: Values = {}
     if i and plan.mass_scaling:
         p = plan.impacts[i]
-        most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3
+        most = plan.mass_scaling * p.rho * math.pi / 6.0 * p.diameter**3
         bodies.target.inertia.most = most
         if bodies.contact is not None:
-            step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
+            step = SPRINGS * ENOUGH * p.spacing / p.wave_speed
             report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.pairs.mass_for(step), most)
     within = bodies.target.set_window(plan.impacts[i].window, np.array(place))
     if within < len(bodies.target.mesh.conn):

@@ -23,7 +23,8 @@ from ..particle.heat import PointConduction
 from ..particle.inertia import ENOUGH
 from ..particle.particle import Numerics, Particle
 from ..physics.adhesion import Adhesion
-from ..physics.constitutive import law_record
+from ..physics.constitutive import is_metal, law_record
+from ..physics.materials import Material
 from ..physics.metal import MetalState
 from ..plan.model import TargetPlan
 from ..plan.planning import Plan
@@ -120,6 +121,15 @@ def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
     return bodies.with_domain(replace(domain, mesh=replace(mesh, sets=sets)), rank, bodies.buried)
 
 
+def metals_of(plan: Plan, bodies: Bodies) -> list[Material]:
+    """The material of each body of the target. Its LAW record tells the core of a particle from the shell, and a layer from another."""
+    found = []
+    for law, i in zip(np.split(bodies.target.laws, bodies.count), bodies.impact.tolist(), strict=True):
+        known = plan.impacts[i - 1].materials if i else plan.target.materials
+        found.append(next((metal for metal in known[1:] if is_metal(law, metal)[0]), known[0]))
+    return found
+
+
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
     """Make the bodies of a stored state. Raises CheckpointError if parts of the state do not fit each other."""
     return Bodies.from_state(
@@ -164,7 +174,8 @@ def build_domains(
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
     on, inside = plan.effects, None
     if on.particle_conduction:
-        inside = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
+        volume = np.full(len(body.points), body.volume)
+        inside = PointConduction(body.points, body.spacing, volume, particle.law, particle.law_of)
     folds = impact_plan.shape in SHAPES or body.inner is not None
     itself = Folding(body, surface, place, k, plan.friction) if folds else None
     paths = HeatPaths(
@@ -196,11 +207,11 @@ def build_particle(
     place (3,) m: centre; body: result of `body_of`, computed by default; others: as in `build_domains`.
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
-    law = law_record(p.material, plan.effects.switches, p.rate_filter)
+    law = np.concatenate([law_record(metal, plan.effects.switches, p.rate_filter) for metal in p.materials])
     settings = Numerics(
         **({"inertia": ENOUGH} if plan.mass_scaling and plan.is_on_coating(i) else {}) | dict(numerics or {})
     )
     return engine(plan.engine, settings)(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
-        comm=ranks.sph_comm, log=log_file, strain=p.initial_strain,
+        comm=ranks.sph_comm, log=log_file, strain=p.initial_strain, law_of=shapes.core_of(body, p.core.share) if p.core else None,
     )  # fmt: skip

@@ -21,13 +21,11 @@ from ..errors import SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
 from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, oxide_film
-from ..physics.constitutive import is_metal
-from ..physics.materials import Material
 from ..plan.cost import CHUNK
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..target.bodies import BodiesState
-from .domains import Domains
+from .domains import Domains, metals_of
 from .ending import Grip
 from .exposure import Exposure
 from .ledger import Ledger
@@ -195,7 +193,8 @@ class Impact(Course):
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
         if self._films is None:
-            self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
+            metals = metals_of(plan, self.bodies)
+            self._films = np.array([oxide_film(impact_plan.material, metal) for metal in metals])
         self.exposure.update(self.domains, touching, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
@@ -215,9 +214,8 @@ class Impact(Course):
             chosen &= ~np.isin(touching.rows, self.bonds.bond.nodes)
         if chosen.any():
             if self._joins is None:
-                self._joins = np.array(
-                    [plan.adhesion.joins(impact_plan.material, metal) for metal in self._metals(plan)]
-                )
+                metals = metals_of(plan, self.bodies)
+                self._joins = np.array([plan.adhesion.joins(impact_plan.material, metal) for metal in metals])
             chosen &= self._joins[self.target.law_of[touching.element]]
         if chosen.any():
             chosen &= self._meets_criterion(plan, impact_plan, touching)
@@ -229,7 +227,7 @@ class Impact(Course):
         if self.exposure is not None and self._films is not None:
             law = self.exposure.bonds(rows, self._films[law_of, 1], touching.strength[chosen], stiffness)
         else:
-            metals = self._metals(plan)
+            metals = metals_of(plan, self.bodies)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
         later = Bond.tie(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
         self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
@@ -245,14 +243,6 @@ class Impact(Course):
         )
         pressure = touching.force[rows] / area
         return plan.adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
-
-    def _metals(self, plan: Plan) -> list[Material]:
-        """The metals of the target, one for each of its laws."""
-        metals = [plan.target.material] * len(self.target.laws)
-        for metal in (*(impact.material for impact in plan.impacts), *plan.target.materials):
-            for i in np.flatnonzero(is_metal(self.target.laws, metal)):
-                metals[i] = metal
-        return metals
 
     def check_contact(self) -> None:
         """Raise SolverError if too many points lie inside the target: the share of points deeper than one spacing exceeds LOST,

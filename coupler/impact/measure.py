@@ -65,13 +65,14 @@ def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]
     """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): height from
     which heights are measured. Means are weighted by mass; percentiles count points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
-    rho = float(particle.law["rho"][0])
+    rho = particle.law["rho"]
+    matter = particle.mass * (rho[0] / rho[particle.law_of])  # with the density of the surface everywhere
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]
     m = shape_measures(skin, surface.triangles, diameter)
     whole, outer = domains.whole_surface, enclosed_volume(skin, surface.triangles)
     metal = outer if whole is surface else enclosed_volume(whole.positions(particle.x), whole.triangles)
-    m["surface_volume_error"] = metal * rho / float(particle.mass @ particle.points.J) - 1.0
+    m["surface_volume_error"] = metal * float(rho[0]) / float(matter @ particle.points.J) - 1.0
     if whole is not surface:
         m["pore_share"] = 1.0 - metal / outer
     away = cKDTree(particle.x).query(vertices)[0]

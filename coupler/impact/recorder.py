@@ -16,6 +16,7 @@ from ..plan.cost import CHUNK
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..target.bodies import Bodies
+from .domains import metals_of
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
 from .measure import crater_depth, measure, tension
@@ -33,8 +34,8 @@ class Recorded:
     None before it; over_rim: the particle has reached beyond the rim of the substrate and below its surface; at_rim: it has touched
     the rim of the target's window; met (k,) m: heights of the target's surface nodes before the impact; touched_at (m): height of the
     particle's centre at its last contact, or at the start before the first contact. Of ceramics: tension (Pa): greatest
-    tensile principal stress of the particle; base_tension: that of the target divided by its tensile limit; broken_share: greatest
-    share of the particle's points above its tensile limit at one time."""
+    tensile principal stress of the particle's ceramic; base_tension: that of the target divided by its tensile limit; broken_share:
+    greatest share of the ceramic's points above its tensile limit at one time."""
 
     next_row: float = 0.0
     next_output: float = 0.0
@@ -49,11 +50,16 @@ class Recorded:
     broken_share: float = 0.0
 
 
-def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
+def cell_fields(plan: Plan, bodies: Bodies) -> dict[str, np.ndarray]:
     """Output fields of all tetrahedra. body: 0 for the substrate, then the splats in the order in which they joined; impact: number
-    of the impact that made each body, 0 for the substrate."""
+    of the impact that made each body, 0 for the substrate; core: 1 in cores of composite particles, if the plan has such."""
     t, stress = bodies.target, bodies.target.stress()
     own = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.elements.plastic_strain}
+    if plan.has_cores:
+        both = zip(metals_of(plan, bodies), bodies.impact.tolist(), strict=True)
+        own["core"] = np.array([float(i > 0 and metal is not plan.impacts[i - 1].material) for metal, i in both])[
+            bodies.body
+        ]
     return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
@@ -144,8 +150,9 @@ class Recorder:
         of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
-        if (limit := self.impact_plan.material.tensile_limit) is not None:
-            at_points = tension(impact.particle.stress())
+        if (number := self.impact_plan.brittle) is not None:
+            limit = self.impact_plan.materials[number].tensile_limit
+            at_points = tension(impact.particle.stress()[impact.particle.law_of == number])
             self.seen.tension = max(self.seen.tension, float(at_points.max()))
             self.seen.broken_share = max(self.seen.broken_share, float(np.mean(at_points > limit)))
         for ceramic in substrate.ceramics:
@@ -167,6 +174,8 @@ class Recorder:
             "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": p.points.eps_p,
             "eps_p_rate": p.points.rate, "T": p.points.T,
         }  # fmt: skip
+        if self.plan.has_cores:
+            fields["core"] = p.law_of.astype(float)
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         vertices = s.positions(p.x)
@@ -178,7 +187,9 @@ class Recorder:
 
         share(measure_distance, len(vertices), LEAST_VERTICES)
         self.store.write("surface", time, vertices, s.triangles, skin)
-        self.store.write("target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
+        self.store.write(
+            "target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(self.plan, impact.bodies)
+        )
         self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:

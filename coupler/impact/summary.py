@@ -80,7 +80,7 @@ def summarise(
         refused["dissipation_of_plastic"] = (
             f"the plastic work of the particle is below {FLOWS:.0%} of its kinetic energy"
         )
-    if recorder.impact_plan.material.is_ceramic:
+    if recorder.impact_plan.brittle is not None:
         own |= {"tension_max_Pa": recorder.seen.tension, "broken_share": recorder.seen.broken_share}
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
@@ -94,12 +94,18 @@ def summarise(
 
 
 def _broken(recorder: Recorder) -> str:
-    """Why a ceramic particle is broken; "" for a whole one and for a metal."""
-    limit, seen = recorder.impact_plan.material.tensile_limit, recorder.seen
-    if limit is None or seen.broken_share < BROKEN_SHARE:
+    """Why a ceramic particle is broken; "" for a whole one, for a metal, and for a ceramic core in a shell of metal."""
+    text = _cracked(recorder) if recorder.impact_plan.brittle == 0 else ""
+    return text and f"{text}: it is computed on as if whole, and counts as not deposited"
+
+
+def _cracked(recorder: Recorder) -> str:
+    """The tensile stress of the ceramic in a particle; "" if it stays below its limit, or there is none."""
+    number, seen = recorder.impact_plan.brittle, recorder.seen
+    if number is None or seen.broken_share < BROKEN_SHARE:
         return ""
-    text = f"tensile stress of up to {seen.tension / 1e6:.0f} MPa, above {limit / 1e6:.0f} MPa at {seen.broken_share:.0%} of its points"
-    return f"{text}: it is computed on as if whole, and counts as not deposited"
+    limit = (recorder.impact_plan.materials[number].tensile_limit or 0.0) / 1e6
+    return f"tensile stress of up to {seen.tension / 1e6:.0f} MPa, above {limit:.0f} MPa at {seen.broken_share:.0%} of its points"
 
 
 def _computed(impact: Impact, recorder: Recorder) -> Values:
@@ -150,6 +156,9 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
                 f"impact {number}: {share:.1%} of the particle's points lie inside another part of it, where shape and strain are"
                 " wrong: try a finer preset"
             )
+    if impact_plan.brittle == 1 and (text := _cracked(recorder)):
+        core = impact_plan.materials[1].name
+        beyond.append(f"impact {number}: {text} in the core of {core}: it cracks, and is computed as if whole")
     if (share := recorder.seen.base_tension) > 1.0:
         names = ", ".join(ceramic.name for ceramic in plan.target.ceramics)
         beyond.append(
@@ -173,7 +182,7 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
     """Warnings about material above its melting point, because the material law has no latent heat and no melt."""
     particle, target = impact.particle, impact.target
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
-    melting = np.full(particle.n, particle.law["T_m"][0]), target.laws["T_m"][target.law_of]
+    melting = particle.law["T_m"][particle.law_of], target.laws["T_m"][target.law_of]
     shares = particle.mass / particle.mass.sum(), target.mesh.V0 / sphere
     warnings = []
     for name, T, T_m, share in zip(

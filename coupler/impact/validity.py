@@ -46,7 +46,7 @@ def _percentile(values: np.ndarray) -> float:
 
 @dataclass
 class Extremes:
-    """The largest values of particle and target, for the check of validity."""
+    """The largest values of particle (of its shell, if it has a core) and target, for the check of validity."""
 
     particle: Extreme = field(default_factory=Extreme)
     target: Extreme = field(default_factory=Extreme)
@@ -54,7 +54,8 @@ class Extremes:
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Include the present values of the particle and of the active part of the target."""
         n, m, p, e = target.active_nodes, target.active_elements, particle.points, target.elements
-        self.particle.note(p.rate, p.T / particle.law["T_m"][0], p.eps_p, p.J)
+        shell = particle.law_of == 0
+        self.particle.note(p.rate[shell], p.T[shell] / particle.law["T_m"][0], p.eps_p[shell], p.J[shell])
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:

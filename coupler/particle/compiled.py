@@ -18,10 +18,11 @@ from ..core.records import Rows
 from ..core.threads import share, together
 from ..errors import SolverError
 from ..physics import motion
+from ..physics.constitutive import sound_speed
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
 from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides
-from .particle import DISTORTED, UNDEFINED_STRESS, Particle, PointState
+from .particle import DISTORTED, UNDEFINED_STRESS, LocalState, Particle, PointState
 from .start import H
 
 KERNEL = -14.0323944878  # slope of the kernel in MACHDYN: W' = KERNEL (h - r)^2 / h^6
@@ -54,17 +55,15 @@ class CompiledParticle(Particle):
         F = np.tile(np.eye(3).ravel(), (everyone, 1))
         self.points = replace(self.points, F=F[: self.n], R=F[: self.n].copy())
         self._deformation = Deformation(F, self.points.R, np.zeros((everyone, 9)), np.ones(everyone))
-        law, num, h = self.law[0], self.numerics, 2.0 * self.numerics.kernel_radius * self.spacing
-        self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
-        K, G, rho = (float(law[name]) for name in ("K", "G", "rho"))
-        E = 9 * K * G / (3 * K + G)
-        self._scheme = Scheme(self.volume_of_point, rho, h, self.wave_speed, E, H, num.Q1, num.Q2, num.hourglass)
+        num, h = self.numerics, 2.0 * self.numerics.kernel_radius * self.spacing
+        self._warming = self.law["expansion"] * self.law["taylor_quinney"]  # share of plastic work that makes pressure
+        self._scheme = Scheme(self.volume_of_point, h, H, num.Q1, num.Q2, num.hourglass)
         of_pairs = self._list_neighbours()
         self._list_exchange()
         self._pairs = self._list_pairs(*of_pairs)
         m = len(self._pairs.points)
         self._force, self._losses = np.zeros((m, 3)), Losses(*np.zeros((2, m, 2)))
-        self._heat, self._failed = np.zeros(self.n), np.full(PARTS, -1)
+        self._heat, self._failed, self._plastic = np.zeros(self.n), np.full(PARTS, -1), np.zeros(len(self.law))
 
     def _list_neighbours(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """List the neighbours of each point, in the order of the points' numbers in the whole particle. Returns points, r0, w and W
@@ -145,7 +144,14 @@ class CompiledParticle(Particle):
         gradient = np.zeros((n + foreign, 3))
         gradient[:n] = s.gradient
         self._swap(self._side_sends, self._side_receives, gradient)
-        return Pairs(points.astype(np.uint32), sides.astype(np.uint32), r0, w, W, gradient[sides].reshape(-1, 6))
+        rho, K, G = (self.law[name] for name in ("rho", "K", "G"))
+        c = np.array([sound_speed(*each) for each in zip(rho, K, G, strict=True)])
+        law_of = self._whole_law_of[self._tag[points] - 1]
+        rho, c, E = (of_law[law_of].mean(axis=1) for of_law in (rho, c, 9 * K * G / (3 * K + G)))
+        slope = (rho * self.volume_of_point) ** 2 * (1.0 / rho) * w * r0
+        return Pairs(
+            points.astype(np.uint32), sides.astype(np.uint32), r0, w, W, gradient[sides].reshape(-1, 6), slope, c, E
+        )
 
     def _update_stress(self) -> None:
         failed, m, d = self._failed, self._motion, self._deformation
@@ -174,7 +180,7 @@ class CompiledParticle(Particle):
         to the gradient."""
         p = self.points
         together(motion.begin_all, dt, self.mass, p.f, p.x, p.v, p.vest)
-        if not self.law[0]["gradient_length"]:
+        if not self.law["gradient_length"].any():
             super().run(steps, dt, on_step)
             return
         before = self.points.eps_p.copy()
@@ -193,14 +199,23 @@ class CompiledParticle(Particle):
     def _end_chunk(self) -> None:
         """Add plastic work and losses of the chunk of steps to the sums, and heat the points by the losses if the law has
         `dissipation`."""
-        plastic = self.volume_of_point * float(self.points.work.sum())
-        self.sums[1] += self._warming * (plastic - self.sums[0])
-        self.sums[0] = plastic
+        for i, warming in enumerate(self._warming):
+            plastic = self.volume_of_point * float(self.points.work[self.law_of == i].sum())
+            self.sums[1] += warming * (plastic - self._plastic[i])
+            self._plastic[i] = plastic
+        self.sums[0] = self._plastic.sum()
         parts = np.zeros((PARTS, 2))
         together(k.share_losses, self.n, self._sides, self._losses, self._heat, parts)
         self.sums[2:] += parts.sum(axis=0)
-        if self.law[0]["dissipation"]:
+        if self.law["dissipation"].any():
             self.warm(self._heat)
+
+    def restore(self, state: LocalState, first: bool = True) -> None:
+        super().restore(state, first)
+        # the first rank has the sums of all points, and the others zero: so the sums over ranks continue
+        work = [state.points.work[self._whole_law_of == i].sum() for i in range(1, len(self.law)) if first]
+        self._plastic[1:] = self.volume_of_point * np.array(work or 0.0)
+        self._plastic[0] = self.sums[0] - self._plastic[1:].sum()
 
     def _skip_step(self) -> None:
         """Exchange the data that pass 2 of other ranks needs, in a step without pass 2 on this rank."""

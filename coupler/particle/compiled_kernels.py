@@ -160,9 +160,9 @@ def stress_points(
     Q receives -V J R sigma U^-1. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator returns to the yield stress
     of the last step, and the thermal pressure lags by one step.
     """
-    law, failed = laws[0], -1
+    failed = -1
     for i in range(lo, hi):
-        F = gradient_of(i, sides, m.x)
+        law, F = laws[state.law_of[i]], gradient_of(i, sides, m.x)
         R, U = rotation(F, matrix_of(d.R, i))
         B, J = inverse(U)
         if not J_MIN <= J <= J_MAX and failed < 0:
@@ -194,26 +194,23 @@ def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector)
 
 
 @_inlined
-def viscosity(scheme: Scheme, w: float, r0: float, r: float, approach: float) -> tuple[float, float, float]:
-    """Viscous force (N) between two points, the factor W' m^2 / rho of MACHDYN's forces, and mu. approach: dx . dv, m2/s."""
-    soft = 1.0 / (r + 0.1 * scheme.h)
-    mu = scheme.h * min(max(approach * soft, -SLOW * scheme.c), SLOW * scheme.c) * soft
-    slope = (scheme.rho * scheme.V) ** 2 / scheme.rho * w * r0
-    return slope * (scheme.Q2 * mu - scheme.Q1 * scheme.c) * mu, slope, mu
+def viscosity(scheme: Scheme, p: Pairs, k: int, r: float, approach: float) -> tuple[float, float]:
+    """Viscous force (N) of pair k, and mu. approach: dx . dv, m2/s."""
+    c, soft = p.c[k], 1.0 / (r + 0.1 * scheme.h)
+    mu = scheme.h * min(max(approach * soft, -SLOW * c), SLOW * c) * soft
+    return p.slope[k] * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
 
 
 @_inlined
-def hourglass(
-    scheme: Scheme, W: float, r0: float, r: float, x: Vector, e: Vector, is_plastic: bool, slope: float, mu: float
-) -> float:
-    """MACHDYN's force (N) against the hourglass error e (m) of a pair: viscous in plastic flow, else elastic."""
-    along = dot(e, x)
+def hourglass(scheme: Scheme, p: Pairs, k: int, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float) -> float:
+    """MACHDYN's force (N) against the hourglass error e (m) of pair k: viscous in plastic flow, else elastic."""
+    along, r0 = dot(e, x), p.r0[k]
     if is_plastic:
         if not mu * along < 0.0:
             return 0.0
-        return -slope * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * scheme.c * mu
+        return -p.slope[k] * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * p.c[k] * mu
     along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) / (r + 0.1 * scheme.h)
-    return -scheme.V * scheme.V * W * scheme.E * scheme.hourglass * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
+    return -scheme.V * scheme.V * p.W[k] * p.E[k] * scheme.hourglass * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
 
 
 @_inlined
@@ -245,7 +242,7 @@ def pair_forces(
         i, j = p.points[k, 0], p.points[k, 1]
         x, v = apart(m.x, i, j), apart(m.v, i, j)
         r = sqrt(dot(x, x))
-        viscous, slope, mu = viscosity(scheme, p.w[k], p.r0[k], r, dot(x, v))
+        viscous, mu = viscosity(scheme, p, k, r, dot(x, v))
         X0, X1, X2 = apart(m.X, i, j)
         e = (
             0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2) - x[0],
@@ -253,7 +250,7 @@ def pair_forces(
             0.5 * ((d.F[i, 6] + d.F[j, 6]) * X0 + (d.F[i, 7] + d.F[j, 7]) * X1 + (d.F[i, 8] + d.F[j, 8]) * X2) - x[2],
         )
         is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
-        control = hourglass(scheme, p.W[k], p.r0[k], r, x, e, is_plastic, slope, mu)
+        control = hourglass(scheme, p, k, r, x, e, is_plastic, mu)
         per_length = 1.0 / (r + 0.01 * scheme.h)
         viscous, control = viscous * per_length, control * per_length
         before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))

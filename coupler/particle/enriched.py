@@ -74,12 +74,11 @@ class EnrichedParticle(CompiledParticle):
         self._residuals = Residuals(np.zeros((count, 3)), np.zeros((count + foreign, 3)), self.points.unseen)
         random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
         step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
-        self._inertia = CellInertia(
-            self.law, self.volume_of_point, step, sides, self._tag - 1, self.total, self.comm.allgather
-        )
+        laws = self.law, self._whole_law_of
+        self._inertia = CellInertia(laws, self.volume_of_point, step, sides, self._tag - 1, self.comm.allgather)
         self._frequency = PointFrequency(
-            self.law, self.volume_of_point, sides, self._pairs, self._motion.X, count + foreign, random, self.comm.allgather,
-            self._fetch, self._inertia.slow,
+            (self.law, self.law_of), self.volume_of_point, sides, self._pairs, self._motion.X, count + foreign, random,
+            self.comm.allgather, self._fetch, self._inertia.slow,
         )  # fmt: skip
 
     def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:

@@ -107,8 +107,9 @@ def stress_points(
     Deviator and residuals form one yield condition and return to it by one factor. Q receives -V J R sigma U^-1 plus the term that
     balances the forces of the residuals.
     """
-    law, failed = laws[0], -1
+    failed = -1
     for i in range(lo, hi):
+        law = laws[state.law_of[i]]
         F, F_n, R_n = gradient_of(i, sides, m.x), matrix_of(d.F, i), matrix_of(d.R, i)
         R, U = rotation(F, R_n)
         B, J = inverse(U)
@@ -146,7 +147,7 @@ def pair_forces(
         x, v = apart(m.x, i, j), apart(m.v, i, j)
         r = sqrt(dot(x, x))
         f = stress_force(k, i, j, p.gradient, d.Q, apart(residual, p.sides[k, 1], p.sides[k, 0]))
-        viscous, _, _ = viscosity(scheme, p.w[k], p.r0[k], r, dot(x, v))
+        viscous, _ = viscosity(scheme, p, k, r, dot(x, v))
         viscous *= 1.0 / (r + 0.01 * scheme.h)
         before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
         lose(k, 0, dt, viscous, before, now, losses)

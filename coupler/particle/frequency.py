@@ -55,14 +55,14 @@ def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def linear_stress(
-    team: Ints, n: int, laws: Laws, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
+    team: Ints, n: int, laws: Laws, law_of: Ints, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
 ) -> None:
     """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,): write Q and residual of the small motion u of n points to
-    `small`, in all threads."""
-    law = laws[0]
-    G = law.G
+    `small`, in all threads. law_of (n,): law of each point."""
     for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
         for i in range(lo, hi):
+            law = laws[law_of[i]]
+            G = law.G
             f = gradient_of(i, sides, small.u)
             span = 0.0
             for row in range(sides.first[i], sides.first[i + 1]):
@@ -129,21 +129,35 @@ def combine(team: Ints, a: float, x: Floats, b: float, y: Floats, out: Floats, s
         sums[part] = square
 
 
+@njit(cache=True, nogil=True)
+def respond(team: Ints, size: float, mass: Floats, f: Floats, out: Floats, sums: Floats) -> None:
+    """Write -f / (mass size) to out (n,3), and its square to sums (PARTS,), part by part, in all threads. mass (n,)."""
+    for lo, hi, part in ranges(team, 0, len(f), LEAST_POINTS):
+        square = 0.0
+        for i in range(lo, hi):
+            a = -1.0 / (mass[i] * size)
+            for d in range(3):
+                out[i, d] = a * f[i, d]
+                square += out[i, d] * out[i, d]
+        sums[part] = square
+
+
 class PointFrequency:
     """Power iteration on the points of one rank, together with the points of all other ranks."""
 
     def __init__(
-        self, law: Laws, volume: float, sides: Sides, pairs: Pairs, X: np.ndarray, count: int, random: np.ndarray,
+        self, laws: tuple[Laws, Ints], volume: float, sides: Sides, pairs: Pairs, X: np.ndarray, count: int, random: np.ndarray,
         gather: Callable[[float], list[float]], fetch: Fetch, slow: Callable[[np.ndarray], None],
     ):  # fmt: skip
-        """law (1,): LAW record; volume (m3): volume of each point; X (N,3) m; count: number of sides, including those of other ranks;
-        random (n,3): random motion of the points; gather(number): the numbers of all ranks with points; fetch(points, sides): get
-        rows of points (N,k), and of sides (count,3) if given, from other ranks; slow(forces (n,3) N): `inertia.CellInertia.slow`."""
+        """laws: LAW records, and number (n,) of the law of each point; volume (m3): volume of each point; X (N,3) m; count: number of
+        sides, including those of other ranks; random (n,3): random motion of the points; gather(number): the numbers of all ranks with
+        points; fetch(points, sides): get rows of points (N,k), and of sides (count,3) if given, from other ranks; slow(forces (n,3)
+        N): `inertia.CellInertia.slow`."""
         self._slow = slow
-        self._law, self._volume, self._sides, self._pairs, self._X = law, volume, sides, pairs, X
+        self._laws, self._volume, self._sides, self._pairs, self._X = laws, volume, sides, pairs, X
         self._random = random
         self._gather, self._fetch = gather, fetch
-        self._mass = volume * float(law[0]["rho"])
+        self._mass = volume * laws[0]["rho"][laws[1]]
         n, everyone = len(random), len(X)
         self._small = Small(
             np.zeros((everyone, 3)), np.zeros((everyone, 9)), np.zeros((count, 3)), np.zeros((len(pairs.points), 3))
@@ -190,8 +204,10 @@ class PointFrequency:
         Returns the new size."""
         n, small = len(J), self._small
         self._fetch(small.u)
-        together(linear_stress, n, self._law, self._volume, self._sides, self._X, F, J, small)
+        together(linear_stress, n, *self._laws, self._volume, self._sides, self._X, F, J, small)
         self._fetch(small.Q, small.residual)
         together(linear_forces, n, self._sides, self._pairs, small, self._f)
         self._slow(self._f)
-        return self._combine(-1.0 / (self._mass * size), self._f, 0.0, self._f, small.u[:n])
+        sums = np.zeros(PARTS)
+        together(respond, size, self._mass, self._f, small.u[:n], sums)
+        return self._total(sums)

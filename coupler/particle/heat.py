@@ -27,10 +27,12 @@ LEAST = 11  # smallest number of points in the fit of a gradient, including the 
 
 
 class PointConduction:
-    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing (m); volume (n,) m3; law (1,): LAW
-    record."""
+    """Conduction among all points of one particle. X (n,3) m: reference positions; spacing (m); volume (n,) m3; law (k,): LAW
+    records; law_of (n,): number of the law of each point, default that of one law."""
 
-    def __init__(self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray):
+    def __init__(
+        self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray, law_of: np.ndarray | None = None
+    ):
         n, near = len(X), points_near(cKDTree(X), X, k.SUPPORT * spacing, LEAST, LEAST)
         self.law, self.spacing = law, spacing
         start, columns = near.indptr.astype(np.uint32), near.indices.astype(np.uint32)
@@ -43,7 +45,8 @@ class PointConduction:
             back.indptr.astype(np.uint32), back.indices.astype(np.uint32), weights[back.data]
         )
         (D, kD), (c, capacity, T, gained) = np.zeros((2, n, 6)), np.zeros((4, n))
-        self._flow = k.Conduction(volume, reach, D, kD, c, capacity, np.zeros((n, 4)), T, gained)
+        law_of = np.zeros(n, np.int32) if law_of is None else law_of
+        self._flow = k.Conduction(law_of, volume, reach, D, kD, c, capacity, np.zeros((n, 4)), T, gained)
 
     def share(self, time: float, x: np.ndarray, T: np.ndarray) -> np.ndarray:
         """Heat (n,) J that points gain by conduction over `time` s. x (n,3) m: positions; T (n,) K: temperatures before.

@@ -29,9 +29,11 @@ class Operators(NamedTuple):
 
 
 class Conduction(NamedTuple):
-    """Arrays of n points. volume (m3); reach (n,4): sums of the absolute weights in each row of G and R; D (n,6) m3: V J F^-1 F^-T;
-    kD (n,6) W m/K; c (W/K); capacity (J/K); q (n,4): kD G T and c R T; T (K); gained (J): heat."""
+    """Arrays of n points. law_of (n,): number of the law of each point; volume (m3); reach (n,4): sums of the absolute weights in
+    each row of G and R; D (n,6) m3: V J F^-1 F^-T; kD (n,6) W m/K; c (W/K); capacity (J/K); q (n,4): kD G T and c R T; T (K);
+    gained (J): heat."""
 
+    law_of: Ints
     volume: Floats
     reach: Floats
     D: Floats
@@ -102,8 +104,8 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 def weigh(lo: int, hi: int, laws: Laws, spacing: float, h: Conduction) -> None:
     """Write the conduction tensors kD, c and capacity at the temperatures T. Write also the largest flow for temperature differences
     of 1 K to q."""
-    law = laws[0]
     for i in range(lo, hi):
+        law = laws[h.law_of[i]]
         h.capacity[i] = law.rho * h.volume[i] * heat_capacity(law, h.T[i])
         k = conductivity(law, h.T[i])
         for d in range(6):

@@ -8,7 +8,7 @@ interest. Such a cell gets an inertia c against the rate of its volume,
 so that only changes of this volume are slower. A rigid motion, rotation included, changes no volume: linear and angular momentum
 are conserved (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436, for elements). With the stiffness of the
 cell, k = V J (K J + 4 G / 3), the inertia c = STIFFER k (T / 2)^2 - m / b^2 makes it stable with the step T; c is at least 0.
-Accelerations need a linear system of the few scaled cells only: m a = f - B^T (C^-1 + B B^T / m)^-1 B f / m.
+Accelerations need a linear system of the few scaled cells only: m a = f - B^T (C^-1 + B m^-1 B^T)^-1 B m^-1 f.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..compiling import njit
-from ..core.arrays import Floats, Laws
+from ..core.arrays import Floats, Ints, Laws
 from ..core.threads import share
 from ..geometry.matrix_kernels import applied, inverse, matrix_of, transposed
 from ..physics.constitutive import bulk_stiffness
@@ -31,12 +31,13 @@ STIFFER = 2.0  # factor for neighbouring cells, which together have a higher fre
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inertia_of_cells(
-    lo: int, hi: int, laws: Laws, scale: float, mass: float, sides: Sides, F: Floats, J: Floats, spatial: Floats, inertia: Floats
+    lo: int, hi: int, laws: Laws, law_of: Ints, scale: float, mass: float, sides: Sides, F: Floats, J: Floats, spatial: Floats,
+    inertia: Floats,
 ) -> None:  # fmt: skip
     """Write F^-T g to spatial (sides,3) 1/m, and the inertia c of each cell to inertia (n,) kg m2. scale: STIFFER V (T / 2)^2, m3
-    s2."""
-    law = laws[0]
+    s2; mass: that of the lightest point, kg, with which c is largest."""
     for i in range(lo, hi):
+        law = laws[law_of[i]]
         B, _ = inverse(matrix_of(F, i))
         square = s0 = s1 = s2 = 0.0
         for k in range(sides.first[i], sides.first[i + 1]):
@@ -54,23 +55,27 @@ class CellInertia:
     forces of each step."""
 
     def __init__(
-        self, law: Laws, volume: float, step: float, sides: Sides, numbers: np.ndarray, total: int, gather: Callable[..., list[Any]],
+        self, laws: tuple[Laws, Ints], volume: float, step: float, sides: Sides, numbers: np.ndarray, gather: Callable[..., list[Any]],
     ):  # fmt: skip
-        """law (1,): LAW record; volume (m3): volume of each point; step (s): limit 2 / omega that all cells shall reach; numbers
-        (N,): numbers of the points of this rank, the n own ones first, in the whole particle of `total` points; gather(values):
-        values of all ranks."""
-        self._law, self._mass, self._scale = law, volume * float(law[0]["rho"]), STIFFER * volume * (0.5 * step) ** 2
-        self._sides, self._numbers, self._total, self._gather = sides, numbers, total, gather
+        """laws: LAW records, and number (total,) of the law of each point of the whole particle; volume (m3): volume of each point;
+        step (s): limit 2 / omega that all cells shall reach; numbers (N,): numbers of the points of this rank, the n own ones first,
+        in the whole particle; gather(values): values of all ranks."""
+        (self._laws, law_of), self._scale = laws, STIFFER * volume * (0.5 * step) ** 2
+        mass = volume * self._laws["rho"][law_of]
+        self._mass, self._total = float(mass.min()), len(law_of)
+        self._lightness = self._mass / mass
+        self._sides, self._numbers, self._gather = sides, numbers, gather
         n = len(sides.first) - 1
         self._alone = len(gather(n)) == 1
         self._inertia, self._spatial = np.zeros(n), np.zeros((len(sides.neighbour), 3))
         self._own = numbers[:n]
+        self._law_of = law_of[self._own]
         self.cells = 0  # number of scaled cells, on all ranks
 
     def weigh(self, F: np.ndarray, J: np.ndarray) -> None:
         """Choose the cells and their inertia for deformation gradients F (n,9) and volume ratios J (n,)."""
         n = len(J)
-        of_cells = self._law, self._scale, self._mass, self._sides, F, J, self._spatial, self._inertia
+        of_cells = self._laws, self._law_of, self._scale, self._mass, self._sides, F, J, self._spatial, self._inertia
         share(lambda lo, hi: inertia_of_cells(lo, hi, *of_cells), n, LEAST_POINTS)
         chosen = np.flatnonzero(self._inertia)
         first = self._sides.first.astype(np.int64)
@@ -91,8 +96,9 @@ class CellInertia:
         shape = self.cells, 3 * self._total
         columns = 3 * ones[1][:, None] + np.arange(3)
         B = csr_array((values.ravel(), (np.repeat(ones[0], 3), columns.ravel())), shape)
-        self._B, self._B_transposed = B, csr_array(B.T)
-        self._solve = np.linalg.inv(np.diag(self._mass / c) + (B @ self._B_transposed).toarray())
+        self._B_transposed, self._B = csr_array(B.T), B
+        self._B.data *= np.repeat(self._lightness, 3)[B.indices]
+        self._solve = np.linalg.inv(np.diag(self._mass / c) + (self._B @ self._B_transposed).toarray())
 
     def slow(self, f: np.ndarray) -> None:
         """Replace the total forces f (n,3) N on the points by forces that give the accelerations with added inertia. All ranks call

@@ -96,12 +96,11 @@ def warm_points(
 
     machdyn_eps (n,): written, prescribes sigma_y for the next step; pressing (PARTS,) J grows by the part that makes pressure.
     """
-    law = laws[0]
     for lo, hi, part in ranges(team, 0, len(heat), LEAST_POINTS):
         for i in range(lo, hi):
             if heat[i] == 0.0:
                 continue
-            old = a.T[i]
+            law, old = laws[a.law_of[i]], a.T[i]
             a.T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
             a.sigma_y[i] = softened(law, a.sigma_y[i], a.eps_p[i], old, a.T[i])
             machdyn_eps[i] = a.sigma_y[i] / H
@@ -119,7 +118,6 @@ def add_up(
     Stored energy: energy of deviators, J V s:s / 4G, and of the volume, including heat. Kinetic energy: sum of m v(n-1/2).v(n+1/2) /
     2, whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
     """
-    law = laws[0]
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):
         kinetic = stored = x = y = z = fastest = 0.0
         for i in range(lo, hi):
@@ -127,7 +125,7 @@ def add_up(
             mean = (s[0] + s[3] + s[5]) / 3.0
             xx, yy, zz = s[0] - mean, s[3] - mean, s[5] - mean
             ss = xx * xx + yy * yy + zz * zz + 2.0 * (s[1] ** 2 + s[2] ** 2 + s[4] ** 2)
-            stored += volume[i] * (a.J[i] * ss / (4.0 * law.G) + a.energy[i])
+            stored += volume[i] * (a.J[i] * ss / (4.0 * laws[a.law_of[i]].G) + a.energy[i])
             m, half = mass[i], 0.5 * dt / mass[i]
             v0, v1, v2 = v[i, 0], v[i, 1], v[i, 2]
             f0, f1, f2 = half * f[i, 0], half * f[i, 1], half * f[i, 2]

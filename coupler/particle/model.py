@@ -11,15 +11,11 @@ from ..core.arrays import Floats, Ints
 
 
 class Scheme(NamedTuple):
-    """Constants of the scheme. V (m3), rho (kg/m3): volume and density of each point; h (m): radius of the kernel; c (m/s):
-    longitudinal wave speed; E (Pa): Young's modulus; H (Pa): modulus of the linear hardening by which LAMMPS stores the yield stress;
-    Q1, Q2, hourglass: coefficients of MACHDYN."""
+    """Constants of the scheme. V (m3): volume of each point; h (m): radius of the kernel; H (Pa): modulus of the linear hardening by
+    which LAMMPS stores the yield stress; Q1, Q2, hourglass: coefficients of MACHDYN."""
 
     V: float
-    rho: float
     h: float
-    c: float
-    E: float
     H: float
     Q1: float
     Q2: float
@@ -39,7 +35,9 @@ class Sides(NamedTuple):
 
 class Pairs(NamedTuple):
     """Pairs of points. points (m,2): first and second point; sides (m,2): rows of their sides, sides of other ranks after the own
-    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji."""
+    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji. Of the
+    mean of both materials: slope (m,) kg/m: factor W' m^2 / rho of MACHDYN's forces; c (m/s), E (Pa) (m,): longitudinal wave speed and
+    Young's modulus."""
 
     points: Ints
     sides: Ints
@@ -47,6 +45,9 @@ class Pairs(NamedTuple):
     w: Floats
     W: Floats
     gradient: Floats
+    slope: Floats
+    c: Floats
+    E: Floats
 
 
 class Motion(NamedTuple):
@@ -69,9 +70,11 @@ class Deformation(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of the law at n points. sigma_y (Pa); eps_p; rate (1/s); T (K); J; p (Pa); energy and plastic work (J per reference m3);
-    stress (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz; eps_gradient (n,3) 1/m."""
+    """State of the law at n points. law_of (n,): number of the law of each point; sigma_y (Pa); eps_p; rate (1/s); T (K); J; p (Pa);
+    energy and plastic work (J per reference m3); stress (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz;
+    eps_gradient (n,3) 1/m."""
 
+    law_of: Ints
     stress: Floats
     sigma_y: Floats
     eps_p: Floats

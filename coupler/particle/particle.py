@@ -151,16 +151,18 @@ class Particle(LocalState, ABC):
         comm: MPI.Comm | None = None,
         log: Path | None = None,
         strain: float = 0.0,
+        law_of: np.ndarray | None = None,
     ):
-        """points (n,3) m: positions; volume (m3): volume of each point; law (1,): LAW record; velocity (m/s): (3,), or (n,3) for each
-        point; temperature (K); comm: communicator of the ranks that share the particle, in slabs along x with equal numbers of
-        points; log: log file of LAMMPS; strain: initial plastic strain."""
+        """points (n,3) m: positions; volume (m3): volume of each point; law (k,): LAW records, the first is that of the surface;
+        velocity (m/s): (3,), or (n,3) for each point; temperature (K); comm: communicator of the ranks that share the particle, in
+        slabs along x with equal numbers of points; log: log file of LAMMPS; strain: initial plastic strain of the first law's points;
+        law_of (n,): number of the law of each point, default that of one law."""
         self.numerics = numerics or Numerics()
         self.law, self._special, self.initial_strain = law, specialised(law), strain
+        self.law_of = np.zeros(len(points), np.int32) if law_of is None else law_of
         self.X = np.ascontiguousarray(points, float)
         self.total, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
-        r = law[0]
-        self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
+        self.wave_speed = max(sound_speed(float(r["rho"]), float(r["K"]), float(r["G"])) for r in law)
         self.comm = comm or MPI.COMM_SELF
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
@@ -187,14 +189,20 @@ class Particle(LocalState, ABC):
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
         self._whole, self.X = self.X, self.X[self.ids]
+        self._whole_law_of, self.law_of = self.law_of, self.law_of[self.ids]
         self.volume, self.f_ext = np.full(self.n, self.volume_of_point), np.zeros((self.n, 3))
         kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
         super().__init__(new_rows(self.POINTS, self.n, **kept))
         self._mass = self._lammps("rmass")
+        self._mass[:] = self.volume * self.law["rho"][self.law_of]
         p, velocities = self.points, np.asarray(velocity, float)
-        self._state = State(p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient)
-        p.T[:], p.eps_p[:] = temperature, self.initial_strain
-        p.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
+        self._state = State(
+            self.law_of, p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient
+        )
+        p.T[:] = temperature
+        for i, law in enumerate(self.law):
+            own, strain = self.law_of == i, 0.0 if i else self.initial_strain
+            p.eps_p[own], p.sigma_y[own] = strain, yield_stress(law, strain, 0.0, temperature)
         p.v[:] = p.vest[:] = velocities[self.ids] if velocities.ndim == 2 else velocities
         p.eff_plastic_strain[:] = p.sigma_y / H
         self._start_engine()

@@ -12,6 +12,7 @@ from ..physics import shapes as morphology
 from . import packing
 
 _FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes along which a shape ends in flat faces
+_GOLDEN = 0.618034  # its multiples, without their whole parts, are evenly distributed
 _RING = 0.87  # distance between rings over the edges along them, for nearly equilateral triangles
 
 
@@ -112,6 +113,17 @@ def of_surface(
     area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
     body = Body(cloud, each, vertices, corners, area, half, together(holes) if holes else None)
     return _tilted(body, tilt) if tilt else body
+
+
+def core_of(body: Body, share: float) -> np.ndarray:
+    """Numbers (n,) of the materials of a body's points: 1 in the core, 0 in the shell. The core consists of the points farthest below
+    the outer surface; of those of the same depth, some all round. share: its volume fraction, which is met within half a point."""
+    feet = RaySurface(body.vertices, body.triangles).feet(body.points)[0]
+    depth = np.round(np.linalg.norm(body.points - feet, axis=1) / body.spacing, 1)
+    all_round = _GOLDEN * np.arange(len(depth)) % 1.0
+    number = np.zeros(len(depth), np.int32)
+    number[np.lexsort((all_round, -depth))[: round(share * len(depth))]] = 1
+    return number
 
 
 def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> Body:

@@ -186,6 +186,16 @@ class Material:
         return high
 
 
+def mixed(shell: Material, core: Material, share: float) -> Material:
+    """The shell's material with the mean density and specific heat of a composite particle, for its flight. share: volume fraction of
+    the core."""
+    rho = (1.0 - share) * shell.rho + share * core.rho
+    by_mass = share * core.rho / rho
+    ends = [T for table in (shell.cp, core.cp) for T, _ in table]
+    cp = tuple((T, (1.0 - by_mass) * shell.cp_at(T) + by_mass * core.cp_at(T)) for T in (min(ends), max(ends)))
+    return replace(shell, rho=rho, cp=cp)
+
+
 #: The numbers of a material, and the default values, by field. E and nu: elastic constants of handbooks.
 _HINTS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Material, include_extras=True).items()}
 LIMITS: dict[str, Number] = {name: extra[0] for name, extra in _HINTS.items() if extra and isinstance(extra[0], Number)}

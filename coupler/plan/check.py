@@ -45,7 +45,9 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
     layers = [(f"substrate.layer[{k}]", layer) for k, layer in enumerate(scene.substrate.layer, 1)]
     bodies += [(where, scene.substrate.model_copy(update={"material": layer.material})) for where, layer in layers]
-    bodies[:0] = zip(scene.labels, scene.particles, strict=True)
+    for where, particle in zip(reversed(scene.labels), reversed(scene.particles), strict=True):
+        cores = [(f"{where}.core", particle.model_copy(update={"material": name})) for name in particle.materials[1:]]
+        bodies[:0] = [(where, particle), *cores]
     for where, body in bodies:
         material = catalogue.get(body.material)
         if material is None:
@@ -56,7 +58,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
                 )
         elif body.temperature > _HOTTEST * material.T_m:
             text = f"must be below {_HOTTEST:g} times the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
-            yield _wrong(f"{where}.temperature", body.temperature, "K", text, f"{where}.material")
+            field = f"{where.removesuffix('.core')}.temperature"
+            yield _wrong(field, body.temperature, "K", text, f"{where}.material")
     known = [metal for _, body in bodies if (metal := catalogue.get(body.material)) is not None]
     if d.ambient is not None and known:
         metal = min(known, key=lambda metal: metal.T_m)
@@ -66,6 +69,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         yield from _hardness(where, particle, catalogue.get(particle.material))
         yield from _pores(where, particle, d.spacing)
+        if particle.core is not None and {*particle.materials} <= catalogue.keys():
+            yield from _core(d, where, particle)
     yield from _room(d)
     yield from _surface(d)
     yield from _layers(d)
@@ -120,6 +125,31 @@ def _pores(where: str, particle: Particle, spacing: float) -> Iterator[Problem]:
         finer = _um(pores.diameter / _CELLS_OF_PORE)
         text = f"not resolved by points {_um(spacing)} apart: give larger pores, or resolution.spacing, {finer} at most"
         yield _wrong(f"{where}.pore_diameter", pores.diameter, "um", text, f"{where}.porosity", *looked)
+
+
+def _core(d: Derived, where: str, particle: Particle) -> Iterator[Problem]:
+    """Check that points resolve the core and the shell of a particle, whose materials are known."""
+    core = d.core_of(particle)
+    assert core is not None
+    assert particle.core is not None
+    key = f"{where}.core.{'diameter' if particle.core.share is None else 'share'}"
+    size = core.share ** (1.0 / 3.0) * particle.diameter
+    looked = (key, *(f"{where}.{name}" for name in _EXTENT), "preset", "resolution.spacing", "resolution.engine")
+    if (wall := 0.5 * (particle.diameter - size)) <= 0.0:
+        yield (
+            looked,
+            f"{key}: a core of {_um(size)} leaves no shell in a particle of {_um(particle.diameter)}: give less",
+        )
+    elif (least := min(wall, size / _CELLS_OF_PORE)) < d.spacing:
+        part = f"core of {_um(size)}" if least < wall else f"shell of {_um(wall)}"
+        yield (
+            looked,
+            f"{key}: points {_um(d.spacing)} apart do not resolve a {part}: give resolution.spacing, {_um(least)} at most",
+        )
+    if particle.shape == "hollow_sphere":
+        yield (f"{where}.core", f"{where}.shape"), f'{where}.core: a particle with shape = "hollow_sphere" has no core'
+    if d.scene.resolution.engine == "machdyn":
+        yield looked, f"{where}.core: engine machdyn computes particles of one material: use enriched or compiled"
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:

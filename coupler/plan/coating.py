@@ -12,7 +12,7 @@ from statistics import NormalDist
 import numpy as np
 
 from .. import units
-from ..physics.materials import Material, unknown
+from ..physics.materials import Material, mixed, unknown
 from ..physics.shapes import sphere_volume
 from ..scene.coating import Coating, PowderTable
 from ..scene.tables import Spray, read_table
@@ -97,11 +97,17 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
     """A powder with its files. folder: folder to which their names are relative. Raises ValueError; the message begins with the name
     of the field."""
     files = sorted(map(Path, glob.glob(str(folder / powder.files), recursive=True))) if powder.files else []
-    if powder.material not in catalogue:
-        raise ValueError(f'material = "{powder.material[:40]}": {unknown(powder.material[:40], catalogue)}')
+    named = {"material": powder.material} | ({"core.material": powder.core.material} if powder.core else {})
+    for key, name in named.items():
+        if name not in catalogue:
+            raise ValueError(f'{key} = "{name[:40]}": {unknown(name[:40], catalogue)}')
     if powder.files and not files:
         raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} has a name of this form')
-    rho = catalogue[powder.material].rho
+    shell = catalogue[powder.material]
+    rho = shell.rho
+    if powder.core is not None:
+        core = catalogue[powder.core.material]
+        rho = mixed(shell, core, powder.core.share_by_volume(1.0, shell.rho, core.rho)).rho
     if powder.sizes is None:
         return Fed(powder, rho, files)
     try:
@@ -190,6 +196,8 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     if table.pore_diameter is not None:
         particle |= {"porosity": table.porosity, "pore_diameter": units.show(table.pore_diameter, "um")}
         particle["pore_seed"] = int(2**31 * dice.random())
+    if table.core is not None:
+        particle["core"] = {"material": table.core.material, "share": table.core.share}
     return particle
 
 

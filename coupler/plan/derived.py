@@ -11,6 +11,7 @@ from ..physics.materials import Material
 from ..scene.model import SceneData
 from ..scene.tables import Particle, Spray
 from . import cost as estimates
+from .model import CorePlan
 
 _OUTPUTS_PER_CROSSING = 25.0  # written steps in the time D / v of an impact, at most ...
 _OUTPUTS_IN_ALL = 1250.0  # ... and over all impacts of a sequence, at most
@@ -169,7 +170,7 @@ class Derived:
         spot covers it. Raises SceneError for an unknown material."""
         particles, coating, spray = self.scene.particles, self.scene.coating, self.spray
         radius = coating.radius if coating else self.spread
-        mass = sum(self.material(p.material).rho * p.volume for p in particles) / len(particles)
+        mass = sum(self.flying(p).rho * p.volume for p in particles) / len(particles)
         flux = spray.efficiency * spray.feed_rate / mass / (0.25 * math.pi * spray.spot**2)  # impacts, 1/(m2 s)
         return 1.0 / (flux * math.pi * max(radius, 0.5 * max(p.width for p in particles)) ** 2)
 
@@ -192,9 +193,21 @@ class Derived:
         T = gas.temperature if T is None and gas is not None else T
         return (h, T) if h and T is not None else None
 
+    def core_of(self, particle: Particle) -> CorePlan | None:
+        """The core of a particle, None if it has one material. Raises SceneError for an unknown material."""
+        if particle.core is None:
+            return None
+        shell, core = (self.material(name) for name in particle.materials)
+        return CorePlan(core, particle.core.share_by_volume(particle.diameter, shell.rho, core.rho))
+
+    def flying(self, particle: Particle) -> Material:
+        """The material of a particle with the mean density and specific heat that a composite particle has in flight."""
+        shell, core = self.material(particle.material), self.core_of(particle)
+        return shell if core is None else materials.mixed(shell, core.material, core.share)
+
     @cached_property
     def _catalogue(self) -> tuple[dict[str, Material], list[str]]:
-        used = {*self.scene.substrate.materials, *(particle.material for particle in self.scene.particles)}
+        used = {*self.scene.substrate.materials, *(name for p in self.scene.particles for name in p.materials)}
         return materials.from_scene(self.scene.materials, self.scene.strength or "", used)
 
     def material(self, name: str) -> Material:

@@ -6,10 +6,10 @@ from functools import cache
 
 from .. import units
 from ..errors import ColdsprayError
-from ..physics.materials import Material
+from ..physics.materials import Material, mixed
 from ..scene.messages import in_words
 from ..scene.model import MOST_IMPACTS, SceneData, particle_tables
-from ..scene.tables import DIAMETER, GasConditions, Particle, read_table
+from ..scene.tables import DIAMETER, Core, GasConditions, Particle, read_table
 from ..spray import nozzles
 from ..spray.flight import DRAG_LAWS, Flight, fly_together
 from ..spray.gas import GASES, Flow
@@ -84,7 +84,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
     sizes = [_diameter(particle) for particle in particles]
     among = [size for size in sizes if size is not None]
     for particle, size in zip(particles, sizes, strict=True):
-        arriving, material = _STAND_IN, catalogue.get(str(particle.get("material")))
+        arriving, material = _STAND_IN, _flying(particle, size, catalogue)
         if conditions is not None and material is not None and size is not None:
             try:
                 arriving = arrival(conditions, known[conditions.nozzle], material, size, among)
@@ -92,6 +92,17 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
                 problems.append(f"gas.{error}")
         particle |= {field: text for field, text in arriving.items() if field not in particle}
     return list(dict.fromkeys(problems))
+
+
+def _flying(particle: Mapping[str, object], size: float | None, catalogue: Mapping[str, Material]) -> Material | None:
+    """The material of a particle in flight, as `Derived.flying`; None if the check of the scene reports an error in it. size: m."""
+    shell, table = catalogue.get(str(particle.get("material"))), particle.get("core")
+    if shell is None or size is None or table is None:
+        return shell
+    core, _ = read_table(Core, table)
+    inner = catalogue.get(core.material) if core is not None else None
+    share = core.share_by_volume(size, shell.rho, inner.rho) if core is not None and inner is not None else 1.0
+    return mixed(shell, inner, share) if inner is not None and share < 1.0 else None
 
 
 def describe(scene: SceneData) -> list[str]:
@@ -116,7 +127,7 @@ def describe(scene: SceneData) -> list[str]:
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
     """Text about the velocity and the temperature that the gas gives a particle, and whether the scene uses them."""
-    material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
+    material, among = Derived(scene).flying(particle), [p.diameter for p in scene.particles]
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
     away = [field for field in arriving if units.rounded(dict(particle)[field], *_UNITS[field]) != arriving[field]]

@@ -16,6 +16,14 @@ from ..scene.tables import Face
 from .batches import Batch, Landing, batches_of
 
 
+@dataclass(frozen=True)
+class CorePlan:
+    """The core of a composite particle. share: its volume fraction."""
+
+    material: Material
+    share: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImpactPlan(Landing):
     """One impact. diameter (m): diameter of the sphere of equal volume; lengths (m): extents of the shape at tilt 0; tilt (rad):
@@ -26,7 +34,8 @@ class ImpactPlan(Landing):
     rate_filter: time constant of the strain rate's average; output_every: time between written steps; dwell: time until the next
     impact. end_at: "rest", "greatest" (deformation) or "time". formula: critical velocities of the metals of the particle and of the
     body that it hits. splat_elements: estimate, 0 if a rebound is expected. can_bond: whether the particle can bond to what it hits
-    (`Adhesion.joins`). pores: pores of the particle, None if it is dense."""
+    (`Adhesion.joins`). pores: pores of the particle, None if it is dense. core: the core inside a shell of `material`, None if the
+    particle has one material."""
 
     material: Material
     shape: str
@@ -49,6 +58,28 @@ class ImpactPlan(Landing):
     initial_strain: float
     can_bond: bool = True
     pores: Pores | None = None
+    core: CorePlan | None = None
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Its materials: that of the surface, then that of the core."""
+        return (self.material,) if self.core is None else (self.material, self.core.material)
+
+    @property
+    def rho(self) -> float:
+        """Mean density of the particle, kg/m3."""
+        share = 0.0 if self.core is None else self.core.share
+        return (1.0 - share) * self.material.rho + share * self.materials[-1].rho
+
+    @property
+    def wave_speed(self) -> float:
+        """Highest speed of longitudinal waves in its materials, m/s."""
+        return max(metal.wave_speed for metal in self.materials)
+
+    @property
+    def brittle(self) -> int | None:
+        """Number of its ceramic among `materials`, the first of two; None if there is none."""
+        return next((k for k, metal in enumerate(self.materials) if metal.tensile_limit is not None), None)
 
     @property
     def towards(self) -> float:
@@ -171,6 +202,11 @@ class Plan:
     def is_on_coating(self, i: int) -> bool:
         """Whether impact i is on a coating, with its own sub-domain."""
         return i > 0 and math.isfinite(self.impacts[i].window)
+
+    @property
+    def has_cores(self) -> bool:
+        """Whether some of the particles have a core."""
+        return any(impact.core is not None for impact in self.impacts)
 
     def batch_from(self, first: int) -> Batch | None:
         """The batch that contains impact `first`, without the impacts before it; None after the last impact."""

@@ -36,6 +36,6 @@ def with_library(raw: dict[str, object], source: str) -> list[str]:
 
 def named(scene: SceneData) -> set[str]:
     """The metals and the nozzle that a scene names."""
-    names = {*scene.substrate.materials, *(particle.material for particle in scene.particles)}
+    names = {*scene.substrate.materials, *(name for each in scene.particles for name in each.materials)}
     names |= {name for pair in scene.adhesion.pair or () for name in pair.metals}
     return names | ({scene.gas.nozzle} if scene.gas else set())

@@ -111,7 +111,8 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest earlier, but not in proportion to their height
     d, angle, engine = scene.derived, particle.angle, scene.resolution.engine
-    dt = estimates.time_step(d.spacing, material.wave_speed, load, points, angle, engine, tall)
+    fastest = max(d.material(name).wave_speed for name in particle.materials)
+    dt = estimates.time_step(d.spacing, fastest, load, points, angle, engine, tall)
     return ImpactPlan(
         material=material,
         shape=particle.shape,
@@ -138,6 +139,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         splat_elements=d.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
         pores=particle.pores(),
+        core=d.core_of(particle),
         can_bond=joins or (on_splat and not material.is_ceramic),  # round a ceramic in a coating there is metal
     )
 

@@ -188,6 +188,7 @@ def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
     substrate = raw.get("substrate")
     layers = substrate.get("layer") if isinstance(substrate, dict) else None
     bodies += layers if isinstance(layers, list) else []
+    bodies += [body["core"] for body in bodies if isinstance(body, dict) and "core" in body]
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 

@@ -63,10 +63,11 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
-    for name in sorted({m.name for m in (base, *(i.material for i in impacts)) if m.is_ceramic}):
+    for name in sorted({m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if m.is_ceramic}):
         warnings.append(
             f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"
-            " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens"
+            " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens; a"
+            " core of it cracks there"
         )
     if base.is_polymer:
         warnings.append(

@@ -79,7 +79,7 @@ def _heights(target: TargetPlan) -> str:
 
 def _strength(plan: Plan, brief: bool) -> list[str]:
     """Lines about the strength set of each metal and the hardness of the powder; without `brief` also about sources."""
-    metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), *plan.target.materials)}
+    metals = {m.name: m for m in (*(m for impact in plan.impacts for m in impact.materials), *plan.target.materials)}
     hardened = max(impact.initial_strain for impact in plan.impacts)
     powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "without hardness, as in its set"
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}
@@ -131,6 +131,8 @@ def _particle(impact: ImpactPlan) -> str:
 
 def _shape(impact: ImpactPlan) -> str:
     shape = Path(impact.file).name if impact.file else impact.shape.replace("_", " ")
+    if impact.core is not None:
+        shape += f" with {100.0 * impact.core.share:.3g} vol% {impact.core.material.name} core,"
     return f"{shape} with {len(impact.pores.centres)} pores," if impact.pores else shape
 
 

@@ -107,7 +107,8 @@ def cold_coating(result: Result) -> tuple[Plan, Splats, list[Material]]:
         )
     plan = read_plan(result.directory)
     ground = plan.target.materials
-    return plan, splats, [*ground, *(plan.impacts[number - 1].material for number in splats.impact[len(ground) :])]
+    made = list(enumerate(splats.impact))[len(ground) :]
+    return plan, splats, [*ground, *(plan.impacts[i - 1].materials[-1 if b in splats.cores else 0] for b, i in made)]
 
 
 def of_seeds(several: Sequence[Properties]) -> dict[str, SeedError]:

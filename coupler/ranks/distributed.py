@@ -48,6 +48,7 @@ class DistributedParticle:
         self.mass = self.whole("mass")
         self.numerics = self.ask("get", "numerics")[0]
         self.law: np.ndarray = self.ask("get", "law")[0]
+        self.law_of: np.ndarray = self.whole("law_of")
         self.totals = self._sum_up()
 
     @property

@@ -222,6 +222,7 @@ def _particle(body: Values) -> str:
         f"offset ({x:.3g}, {y:.3g}) µm" if x or y else "",
         f"tilt {math.degrees(body['tilt']):.3g}°" if body["tilt"] else "",
         f"initial plastic strain {body['initial_strain']:.3g}" if body["initial_strain"] else "",
+        f"core of {core['material']['name']}, {core['share']:.3g} of its volume" if (core := body.get("core")) else "",
     ]
     return ", ".join(text for text in texts if text)
 
@@ -260,7 +261,8 @@ def material_data(result: Result) -> str:
     """The constants of the materials with their sources, as a part that the reader can open; "" if there is no plan."""
     if not result.plan:
         return ""
-    bodies = [body["material"] for body in (*result.plan["impacts"], result.plan["target"])]
+    cores = [body["core"] for body in result.plan["impacts"] if body.get("core")]
+    bodies = [body["material"] for body in (*result.plan["impacts"], *cores, result.plan["target"])]
     metals = {m["name"]: m | {"K": m["rho"] * m["c0"] ** 2} for m in bodies}
     rows = []
     for key, label, factor, unit in CONSTANTS:

@@ -221,8 +221,8 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
 def _images(
     particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
 ) -> tuple[dict[str, NDArray], View]:
-    """Fields of the particle as pixels over its cross-section, averaged over the nearest points, NaN in voids. Returns also the
-    extent of the pixels, um."""
+    """Fields of the particle, and its core if it has one, as pixels over its cross-section, averaged over the nearest points, NaN in
+    voids. Returns also the extent of the pixels, um."""
     if not loops:
         return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
     corners = np.concatenate(loops)
@@ -234,8 +234,9 @@ def _images(
     grid = np.stack(np.broadcast_arrays(x, at.plane * MICRO, z[:, None]), axis=-1).reshape(-1, 3) / MICRO
     index, weight = from_points(particle.points, grid, at.void)
     images = {}
-    for name in names:
-        values = (weight * at_nodes(particle, name)[index]).sum(1) * FIELDS[name].factor
+    for name in [*names, *({"core"} & particle.data.keys())]:
+        factor = FIELDS[name].factor if name in FIELDS else 1.0
+        values = (weight * at_nodes(particle, name)[index]).sum(1) * factor
         images[name] = values.reshape(rows, columns)
     return images, (float(left), float(right), float(bottom), float(top))
 
@@ -277,6 +278,8 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
         inside: list[Artist] = [axis.imshow(image, extent=extent, origin="lower", cmap=colours, norm=scale, zorder=3)]
         if (hollow := np.isnan(image)).any():
             inside.append(axis.contour(hollow, [0.5], extent=extent, colors="black", linewidths=1.0, zorder=4))
+        if "core" in section.images and (core := section.images["core"]).max(where=~hollow, initial=0.0) > 0.5:
+            inside.append(axis.contour(core, [0.5], extent=extent, colors="black", linewidths=1.0, zorder=4))
         for artist in inside:
             artist.set_clip_path(outline, axis.transData)
         axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))

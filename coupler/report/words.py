@@ -300,6 +300,7 @@ def title(result: Result) -> str:
         groups: dict[str, list[float]] = {}
         for body in plan["impacts"]:
             words = f"{str(body['material']['name'])[:40]} {_SHAPES.get(body['shape'], body['shape'])[:20]}".strip()
+            words += f" with {body['core']['material']['name'][:40]} core" if body.get("core") else ""
             groups.setdefault(words, []).append(1e6 * body["diameter"])
             velocities.append(math.hypot(*body["velocity"]))
             angles.append(math.degrees(math.acos(-body["velocity"][2] / velocities[-1])))

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSch
 
 from .. import units
 from ..physics import shapes as morphology
-from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Quantity, Section
+from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Core, Quantity, Section
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
@@ -61,7 +61,7 @@ class PowderTable(Section):
     smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
     (m/s): standard deviation, limited to two deviations. shapes: fraction by number of each shape; shapes other than spheres have a
     random tilt. files: pattern of names of files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa):
-    as in `Particle`; porosity, pore_diameter (m) too.
+    as in `Particle`; porosity, pore_diameter (m) and core too.
     """
 
     material: str
@@ -79,6 +79,7 @@ class PowderTable(Section):
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
     porosity: POROSITY = 0.0
     pore_diameter: PORE_DIAMETER = None
+    core: Core | None = None
 
     @field_validator("shapes")
     @classmethod
@@ -99,6 +100,8 @@ class PowderTable(Section):
             return self
         if (self.diameter is None) == (self.sizes is None):
             raise ValueError('needs either diameter (such as "22 um") or sizes (such as "15-45 um")')
+        if self.core is not None and self.core.share is None:
+            raise ValueError("needs the share of its core, not the diameter, because its particles differ in size")
         low, high = self.smallest or 0.0, self.largest or math.inf
         if not low <= (self.diameter or low) <= high:
             raise ValueError("needs values with smallest <= diameter <= largest")

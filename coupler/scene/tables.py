@@ -123,6 +123,29 @@ Face = Literal["absorbing", "free", "fixed", "half_space"]
 Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # the shapes of coupler.physics.shapes
 
 
+class Core(Section):
+    """The core of a composite particle, whose shell is of the particle's material. diameter (m): of the sphere of equal volume, or
+    share: mass fraction of the core, 0 to 1; give one of them."""
+
+    material: str
+    diameter: Annotated[float | None, DIAMETER] = None
+    share: StrictFloat | None = Field(None, gt=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _has_one_size(self) -> "Core":
+        if (self.diameter is None) == (self.share is None):
+            raise ValueError('needs either diameter, such as "15 um", or share, its mass fraction, such as 0.6')
+        return self
+
+    def share_by_volume(self, diameter: float, shell_rho: float, core_rho: float) -> float:
+        """Volume fraction of the core in a particle. diameter (m): of the particle; shell_rho, core_rho: densities, kg/m3."""
+        if self.share is None:
+            assert self.diameter is not None
+            return (self.diameter / diameter) ** 3
+        core, shell = self.share / core_rho, (1.0 - self.share) / shell_rho
+        return core / (core + shell)
+
+
 class Particle(Section):
     """A particle and its impact. SI units. angle (rad): impact angle from the surface normal; offset: position of the centre at the
     start.
@@ -130,7 +153,7 @@ class Particle(Section):
     shape: a name of `coupler.physics.shapes`, or "file" for the closed surface in `file`; diameter: diameter of the sphere of equal
     volume; tilt (rad): rotation of the shape about y; dwell: time (s) until the next impact, None: from the spray. hardness,
     yield_strength (Pa; at most one of them): values of the powder, instead of those of the metal. porosity: volume fraction of closed
-    pores of about pore_diameter (m), at places from pore_seed.
+    pores of about pore_diameter (m), at places from pore_seed. core: of another material, inside a shell of `material`.
     """
 
     material: str
@@ -149,6 +172,7 @@ class Particle(Section):
     porosity: POROSITY = 0.0
     pore_diameter: PORE_DIAMETER = None
     pore_seed: StrictInt = Field(1, ge=0, le=2**31)
+    core: Core | None = None
     _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
 
     @model_validator(mode="after")
@@ -174,6 +198,11 @@ class Particle(Section):
         if self.pore_diameter is None:
             return None
         return morphology.pores(self.form, self.volume, self.porosity, self.pore_diameter, self.pore_seed)
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Its materials: that of the surface, then that of the core."""
+        return (self.material,) if self.core is None else (self.material, self.core.material)
 
     @property
     def volume(self) -> float:

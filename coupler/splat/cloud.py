@@ -27,8 +27,8 @@ class Cloud(MetalState):
 
     x (n,3); volume (n,): reference volume of each point; spacing: spacing of the undeformed points, the edge of a cube of this
     volume; rho: reference density; velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,):
-    J per reference m3; surface: vertices (k,3) and triangles (m,3) of the deformed carried surface, including cavities, normals
-    outwards; wave_speed: for the explicit time step in the report.
+    J per reference m3; core (n,): mask of the points of the core; surface: vertices (k,3) and triangles (m,3) of the
+    deformed carried surface, including cavities, normals outwards; wave_speed: for the explicit time step in the report.
     """
 
     x: Annotated[np.ndarray, Rows(3)]
@@ -39,6 +39,7 @@ class Cloud(MetalState):
     stress: Annotated[np.ndarray | None, Rows(6)] = None
     J: Annotated[np.ndarray | None, Rows()] = None
     energy: Annotated[np.ndarray | None, Rows()] = None
+    core: Annotated[np.ndarray | None, Rows(dtype=np.bool_)] = None
     surface: tuple[np.ndarray, np.ndarray] | None = None
     wave_speed: float | None = None
 
@@ -129,11 +130,11 @@ class Cloud(MetalState):
 
 @dataclass(frozen=True)
 class Body(MetalState):
-    """One body of tetrahedra with its state; fields that the cloud does not have are None. SI units.
+    """One body of tetrahedra of one material with its state; fields that the cloud does not have are None. SI units.
 
     points (n,3); tets (m,4): positively oriented; cloud_index (k,): points of the cloud in this body; at nodes: velocity (n,3),
     energy (n,) J per reference m3; in elements: stress (m,6): Cauchy, Voigt xx yy zz yz xz xy; J (m,); state of the metal (m,);
-    report: see `Report`.
+    is_core: whether it is the core of a composite particle; report: see `Report`.
     """
 
     points: np.ndarray
@@ -143,13 +144,13 @@ class Body(MetalState):
     energy: np.ndarray | None = None
     stress: np.ndarray | None = None
     J: np.ndarray | None = None
+    is_core: bool = False
     report: Report = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Splat:
-    """The bodies of a cloud, largest first. lost_mass (kg): mass of fragments with fewer than MIN_POINTS points."""
+    """The bodies of a cloud, largest first, without fragments with fewer than MIN_POINTS points."""
 
     bodies: list[Body]
-    lost_mass: float
     report: Report

@@ -9,6 +9,7 @@ from ..errors import DependencyError, SplatError
 from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import MIN_POINTS, Body, Cloud, Report, Splat
+from .core import parts_of
 from .meshing import SIGMAS, CloudShape, build_mesh, strategies
 from .quality import fit_of
 from .transfer import transfer
@@ -45,15 +46,15 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
     try:
         parts = separate_bodies(cloud, element_size, method)
         sorting = clock.perf_counter() - start
-        bodies = [mesh_body(shape, index, element_size, method) for index, shape in parts]
+        meshed = [mesh_body(shape, index, element_size, method) for index, shape in parts]
     except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
         raise SplatError(
             f"this cloud cannot be meshed ({type(problem).__name__}: {problem}): try another element size, or check the points"
         ) from problem
-    lost = np.setdiff1d(np.arange(len(cloud.x)), np.concatenate([body.cloud_index for body in bodies]))
-    report = _total([body.report for body in bodies], sorting)
-    report |= {"lost_points": len(lost), "wall_s": clock.perf_counter() - start}
-    return Splat(bodies, float(cloud.mass[lost].sum()), report)
+    bodies = [body for own in meshed for body in own]
+    report = _total([own[0].report for own in meshed], sorting)
+    lost = len(cloud.x) - sum(len(body.cloud_index) for body in bodies)
+    return Splat(bodies, report | {"lost_points": lost, "wall_s": clock.perf_counter() - start})
 
 
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
@@ -100,8 +101,9 @@ def _size_of(cloud: Cloud, element_size: float) -> float:
     return min(element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
 
 
-def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str) -> Body:
-    """Mesh one body of a cloud and transfer its state. index: its points in the cloud. Raises SplatError if every strategy fails."""
+def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str) -> list[Body]:
+    """Mesh one body of a cloud and transfer its state; a body with a core becomes shell and core. index: its points in the
+    cloud. Raises SplatError if every strategy fails."""
     cloud, failed = shape.cloud, []
     seconds: dict[str, float] = {}
     for strategy in strategies(method, cloud.surface is not None):
@@ -116,14 +118,18 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
             failed.append(f"{strategy}: {type(problem).__name__}: {problem}")
             continue
         start = clock.perf_counter()
-        state, errors = transfer(cloud, points, tets)
+        states, errors = [], dict[str, float]()
+        for is_core, own, nodes, corners in parts_of(cloud, points, tets):
+            state, own_errors = transfer(cloud.part(own), nodes, corners)
+            states.append(state | {"points": nodes, "tets": corners, "cloud_index": index[own], "is_core": is_core})
+            errors = {key: max(errors.get(key, 0.0), error, key=abs) for key, error in own_errors.items()}
         report |= {"method": str(strategy), "points": len(index), "transfer": errors}
         report |= fit_of(points, tets, cloud)
         if cloud.wave_speed is not None:
             report["dt_s"] = report["step_length_min_m"] / cloud.wave_speed
         seconds["transfer"] = clock.perf_counter() - start
         report |= {"seconds": seconds, "failed": failed}
-        return Body(points, tets, index, report=report, **state)
+        return [Body(**state, report=report) for state in states]
     reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
     raise SplatError(
         f"no mesh of the body of {len(index)} points has a sufficient quality: {reasons}. Try another element"

@@ -51,6 +51,8 @@ def read(result: Result, before: int | None = None) -> Splats:
     body, came = mesh.data["body"].astype(np.int64), mesh.data["impact"].astype(np.int64)
     impact = np.zeros(int(body.max()) + 1, np.int64)
     impact[body] = came
+    inner = np.unique(body[mesh.data["core"] > 0.5]).tolist() if "core" in mesh.data else []
+    cores = {b: plan.impacts[impact[b] - 1].materials[-1].name for b in inner}
     left, last = [number not in impact for number in range(1, done)], None
     if is_cold:
         left.append(done not in impact)
@@ -61,8 +63,8 @@ def read(result: Result, before: int | None = None) -> Splats:
     elif not left:
         raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
     impacts = plan.impacts[: len(left)]  # without a last one that is unfinished or undecided
-    mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
-    metal = np.array([p.material.name for p in impacts])
+    mass = np.array([p.rho * sphere_volume(p.diameter) for p in impacts])
+    metal = np.array([" on ".join(each.name for each in p.materials) for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
     stayed = 1.0 - np.array(left)
     if before is None and result.finished:
@@ -72,7 +74,7 @@ def read(result: Result, before: int | None = None) -> Splats:
     undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, metal, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records))  # fmt: skip
+                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records), cores)  # fmt: skip
 
 
 @dataclass(frozen=True)

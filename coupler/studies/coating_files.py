@@ -94,10 +94,11 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     x, z = (np.linspace(*ends, pixels) for ends, pixels in (((left, right), 1400), ((bottom, top), 600)))
     places = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
     metal = np.zeros(len(places), bool)
-    names = list(dict.fromkeys(splats.metal))
+    names = list(dict.fromkeys([*splats.metal, *splats.cores.values()]))
     for number, (came, points, faces) in enumerate(_skins(splats)):
         tone = 0.45 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
-        colour = np.full(3, tone) if number == 0 else tone * _PHASES[names.index(splats.metal[came - 1]) % len(_PHASES)]
+        name = splats.cores.get(number) or splats.metal[came - 1]
+        colour = np.full(3, tone) if number == 0 else tone * _PHASES[names.index(name) % len(_PHASES)]
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
             outline = Outline.make_compound_path(*(Outline(loop, closed=True) for loop in loops))

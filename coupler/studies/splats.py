@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ class Splats:
     m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
     kg: mass of each particle; metal (n,): name of the metal of each particle; planned: impacts of the run, in `layers` layers; patch:
     radius of the disc on which centres of particles fall, m; element_size (m): element size of the splats; undecided: indices of
-    impacts without a verdict, which count as stayed; verdicts: verdicts of the finished impacts, empty while the run continues.
+    impacts without a verdict, which count as stayed; verdicts: verdicts of the finished impacts, empty while the run continues;
+    cores: name of the material of each body that is the core of a particle, by its number.
     """
 
     mesh: Fields
@@ -40,6 +41,7 @@ class Splats:
     is_cold: bool = False
     undecided: tuple[int, ...] = ()
     verdicts: tuple[str, ...] = ()
+    cores: dict[int, str] = field(default_factory=dict)
 
     @property
     def deposition_efficiency(self) -> float:

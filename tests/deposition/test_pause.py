@@ -62,7 +62,7 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
 
 
 def planned(metal: Material, base: Material, recovers: bool = False) -> Any:
-    impact = SimpleNamespace(material=metal, temperature=CAME, diameter=25e-6)
+    impact = SimpleNamespace(material=metal, materials=(metal,), temperature=CAME, diameter=25e-6)
     target = SimpleNamespace(material=base, materials=(base,), temperature=AMBIENT)
     effects = SimpleNamespace(recovery=recovers)
     known = {

@@ -25,7 +25,7 @@ from coupler.fe.heat import EVERY
 from coupler.files.result import first_step
 from coupler.geometry import mesher
 from coupler.geometry.points import morton
-from coupler.geometry.tetrahedra import volumes
+from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.ending import EndCriterion
 from coupler.impact.folding import whole_surface
@@ -45,6 +45,28 @@ from coupler.target.equilibrium import settle
 from coupler.target.positions import level_under, points_of_impact
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
+
+
+COMPOSITE = scene(("Cu", 20, 500), ("Ni", 20, 500), spacing=2.3, element_size=3.5, of_substrate='window = "50 um"\n')
+COMPOSITE = COMPOSITE.replace("dwell", 'core = { material = "Al2O3", share = 0.2 }\ndwell', 1).replace("rest", "cold")
+
+
+@pytest.mark.slow
+def test_a_splat_with_a_core_is_two_bodies_that_hold_together(shared_run: SharedRuns) -> None:
+    """Shell and core have the volumes of their points within 2 %, and stay bonded at nine tenths of their interface or more while the
+    next particle hits them. The ledger of both impacts closes, and no material is taken for the other."""
+    result = shared_run(COMPOSITE)
+    planned = plan(Scene.from_text(COMPOSITE))
+    assert [abs(impact["energy_drift"]) < 0.01 for impact in result.summary["impacts"]] == [True, True]
+    assert not any(join["detached"] for join in result.summary["joins"])
+    cold = result.fields(-1, "cold")
+    own, core = cold.data["impact"] == 1, cold.data["core"] > 0.5
+    size = volumes(cold.points, cold.cells)
+    assert not core[~own].any()
+    assert planned.impacts[0].core is not None
+    assert size[core].sum() / size[own].sum() == pytest.approx(planned.impacts[0].core.share, abs=0.02)
+    surface = np.unique(boundary_faces(cold.cells[core])[0])
+    assert np.mean(cold.data["bonded"][surface] > 0.5) > 0.9
 
 
 def test_a_body_keeps_its_state_as_it_joins() -> None:

@@ -223,7 +223,10 @@ def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarra
         stress[:, [0, 3, 5]] = (laws["K"][0] * rng.uniform(-0.05, 0.01, n))[:, None]
         a["eps"] = a["sigma_y"] / 1e9 + np.where(np.arange(n) % 2, 3e-4, 0.0)
         state = State(
-            stress=stress, eps_gradient=np.zeros((n, 3)), **{name: a[name] for name in a.keys() & set(State._fields)}
+            law_of=np.zeros(n, np.int32),
+            stress=stress,
+            eps_gradient=np.zeros((n, 3)),
+            **{name: a[name] for name in a.keys() & set(State._fields)},
         )
         machdyn = points_law.Machdyn(np.ones(n), a["eps"], a["e"], a["de"], a["set_e"])
         points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), machdyn, state, sums)

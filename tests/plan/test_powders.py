@@ -10,7 +10,7 @@ from scenes import problems_with
 
 from coupler import Scene
 from coupler.errors import SceneError
-from coupler.physics.materials import material
+from coupler.physics.materials import material, mixed
 from coupler.plan.planning import plan
 
 BLEND = """
@@ -221,4 +221,34 @@ def test_a_porous_powder_has_pores_of_its_own_in_each_particle() -> None:
 def test_pores_that_cannot_be_are_refused(keys: dict[str, object], told: str) -> None:
     (problem,) = problems_with(particle={"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"} | keys)
     assert problem.startswith("particle")
+    assert told in problem
+
+
+def test_a_composite_powder_has_the_density_of_both_materials() -> None:
+    """Ni on Al2O3 with 60 % of its mass in the core: 1 / rho = 0.6 / 3.9 + 0.4 / 8.9, and the core is 77 % of the volume."""
+    core = 'core = { material = "Al2O3", share = 0.6 }'
+    scene = Scene.from_text(BLEND.replace("hardness =", core + "\nhardness ="))
+    planned = plan(scene)
+    impact = next(each for each in planned.impacts if each.core is not None)
+    shell, inner = impact.materials
+    rho = 1.0 / (0.6 / inner.rho + 0.4 / shell.rho)
+    assert impact.rho == pytest.approx(rho, rel=1e-12)
+    assert impact.core.share == pytest.approx(0.6 * rho / inner.rho, rel=1e-12)
+    assert mixed(shell, inner, impact.core.share).rho == pytest.approx(rho, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("core", "more", "told"),
+    [
+        ({"material": "Al2O3", "diameter": "25 um"}, {}, "particle.core.diameter: a core of 25 um leaves no shell"),
+        ({"material": "Al2O3", "diameter": "24.5 um"}, {}, "do not resolve a shell of 0.25 um: give resolution.spacing, 0.25 um"),
+        ({"material": "Al2O3", "share": 0.001}, {}, "particle.core.share: points"),
+        ({"material": "Alumina2", "diameter": "18 um"}, {}, "particle.core.material = \"Alumina2\": unknown material"),
+        ({"material": "Al2O3"}, {}, "needs either diameter, such as"),
+        ({"material": "Al2O3", "diameter": "18 um"}, {"resolution__engine": "machdyn"}, "particle.core: engine machdyn"),
+        ({"material": "Al2O3", "diameter": "9 um"}, {"particle__shape": "hollow_sphere"}, "particle.core: a particle with shape"),
+    ],
+)  # fmt: skip
+def test_a_core_that_cannot_be_is_refused(core: dict[str, object], more: dict[str, object], told: str) -> None:
+    (problem,) = problems_with(particle__core=core, **more)
     assert told in problem

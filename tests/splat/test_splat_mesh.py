@@ -75,7 +75,7 @@ def test_stress_is_a_whole_tensor_for_gmsh(tmp_path: Path) -> None:
 
     points, tets = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2, 3]])
     body = Body(points, tets, np.arange(4), stress=np.array([[1.0, 2, 3, 4, 5, 6]]))
-    mesh_command.write(tmp_path / "one.msh", Splat([body], 0.0, {}))
+    mesh_command.write(tmp_path / "one.msh", Splat([body], {}))
     whole = meshio.read(tmp_path / "one.msh").cell_data["stress"][0].reshape(3, 3)
     assert whole == pytest.approx(np.array([[1.0, 6, 5], [6, 2, 4], [5, 4, 3]]))
 
