@@ -44,7 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: {order}"], "window")
     metal = known.metals[arguments.material]
     base = known.metals[arguments.substrate] if arguments.substrate is not None else None
-    spray = window.spray(metal, base, Sizes.of_quantiles(small, median, large), lambda D: known.fly(metal, D))
+    sizes, keys = Sizes.of_quantiles(small, median, large), ("--material", "--substrate")
+    spray = window.spray(metal, base, sizes, lambda D: known.fly(metal, D), keys)
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:
         _write_csv(arguments, spray)

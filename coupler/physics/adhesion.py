@@ -34,9 +34,14 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
 
     Schmidt, Gaertner, Assadi & Kreye (2006), Acta Mater. 54, 729; they fitted F1 and F2 to impact tests and spray experiments. Exponent
     of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161; their factor
-    k1 = 0.64 (D / 10 um)^-0.18 agrees with Schmidt's formula at 25 um. sigma_TS: of the bulk metal. Raises ColdsprayError if the
-    material has no sigma_TS.
+    k1 = 0.64 (D / 10 um)^-0.18 agrees with Schmidt's formula at 25 um. sigma_TS: of the bulk metal. Raises ColdsprayError for a
+    ceramic, and if the material has no sigma_TS.
     """
+    if material.is_ceramic:
+        raise ColdsprayError(
+            f"{material.name} is a ceramic: it makes no metallic bond, so that it has no critical velocity and no window of its own;"
+            " spray it in a blend with a metal, by [[coating.powder]] of a scene for coldspray run"
+        )
     if material.sigma_TS is None:
         raise ColdsprayError(
             f"{material.name} has no sigma_TS (tensile strength), which the formula of the critical velocity needs: "
@@ -100,7 +105,9 @@ class PairFormula:
 def pair_formula(particle: Material, base: Material | None, temperature: float, diameter: float) -> PairFormula:
     """The formula for a particle of `temperature` K and `diameter` m. base: metal of the target, None if it is not given."""
     first, second = (
-        critical_velocity(metal, temperature, diameter) if metal is not None and metal.sigma_TS is not None else None
+        None
+        if metal is None or metal.sigma_TS is None or metal.is_ceramic
+        else critical_velocity(metal, temperature, diameter)
         for metal in (particle, base)
     )
     return PairFormula(particle.name, first, base.name if base is not None else "", second)

@@ -26,6 +26,7 @@ from .powder import sizes_of
 from .reading import Scene
 
 ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
+BLEND = "; a job has one powder: write a blend as a scene with [[coating.powder]], for coldspray run"
 START = 4.0  # processor time of the start of a run and of its pictures, s
 PARALLEL = 0.8  # efficiency of several threads and of runs of unequal length
 
@@ -238,7 +239,9 @@ def from_text(text: str, path: Path, kind: type[JobData] = JobData) -> Job:
     known, of_nozzles = nozzles.from_tables(raw["nozzles"])
     problems += found + of_nozzles
     data, entries = read_table(kind, raw)
-    problems += [in_words(entry, False, kind) for entry in entries]
+    for entry in entries:
+        is_blend = entry["loc"] in (("coating",), ("powder",)) and entry["type"] != "missing"
+        problems.append(in_words(entry, False, kind) + BLEND * is_blend)
     for table, key in (("powder", "material"), ("substrate", "material"), ("gas", "nozzle")):
         name = raw[table].get(key) if isinstance(raw.get(table), dict) else None
         if isinstance(name, str) and name not in (known if key == "nozzle" else metals):

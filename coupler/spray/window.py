@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ColdsprayError
 from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import PairFormula, critical_velocity, pair_formula
 from ..physics.materials import Material
@@ -75,13 +76,23 @@ def spray(
     base: Material | None,
     sizes: Sizes,
     fly: Callable[[Sequence[float]], list[Flight]],
+    keys: tuple[str, str] = ("powder.material", "substrate.material"),
 ) -> Spray:
     """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
-    (m).
+    (m); keys: of the two materials, for messages.
 
-    Raises ColdsprayError if a flight cannot be computed or the material has no sigma_TS.
+    Raises ColdsprayError if a flight cannot be computed, the material has no critical velocity, or no metal bonds to the base.
     """
-    critical_velocity(material, 300.0)  # raises the error about sigma_TS
+    try:
+        critical_velocity(material, 300.0)
+    except ColdsprayError as error:
+        raise ColdsprayError(f"{keys[0]}: {error}") from None
+    if base is not None and (base.is_ceramic or base.is_polymer):
+        kind = "ceramic" if base.is_ceramic else "polymer"
+        raise ColdsprayError(
+            f"{keys[1]}: {base.name} is a {kind}: no metallic bond forms on it, so that there is no window of deposition; compute an"
+            " impact on it by coldspray run"
+        )
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())

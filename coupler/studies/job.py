@@ -44,10 +44,10 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
     StoreError if the folder holds another job.
     """
+    sticks, end = job.arrived.fates()[STICKS] > 0.0, time.monotonic() + job.data.within
     claim_folder(out, "job", FILES)
     keep_toml(out / FILES[0], text, "job", but=["within"])
     before: Any = read_json_object(out / RECORD).get("computed_s", {}) if (out / RECORD).exists() else {}
-    sticks, end = job.arrived.fates()[STICKS] > 0.0, time.monotonic() + job.data.within
     usual, kind = 1.0, ""  # of a part: expected time of a round, s; its class
     pace = {"Search": 1.0, "Coatings": 1.0}  # greatest ratio of time to expected time
     done, left, failed = dict[str, float](), dict[str, float](), dict[str, str]()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coupler.errors import SceneError
+from coupler.errors import ColdsprayError, SceneError
 from coupler.plan.cost import forecast
 from coupler.plan.job import Coatings, Job, Search, read, seconds, sets_of
 from coupler.plan.planning import plan
@@ -33,6 +33,8 @@ def job_of(folder: Path, text: str = TEXT) -> Job:
         ('"D42PBI"', '"D42"', 'gas.nozzle = "D42"'),
         ('spot = "6 mm"', 'efficiency = 0.5', "spray.efficiency: unknown key"),
         ('"30 min"', "30", "within = 30 needs a time with its unit"),
+        ("[powder]", "[[powder]]", "a job has one powder: write a blend as a scene with [[coating.powder]]"),
+        ("[powder]", "[coating]\nnumber = 9\n[powder]", "coating: unknown key; known: within, powder,"),
         ("[powder]", "[powders]", "powders: unknown key (did you mean \"powder\"?)"),
     ],
 )  # fmt: skip
@@ -41,6 +43,22 @@ def test_a_fault_names_its_key_and_the_remedy(tmp_path: Path, old: str, new: str
     with pytest.raises(SceneError) as error:
         job_of(tmp_path, TEXT.replace(old, new, 1))
     assert any(says in problem for problem in error.value.problems), error.value.problems
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"Cu"', '"Al2O3"', "powder.material: Al2O3 is a ceramic: it makes no metallic bond"),
+        ('"Al6061"', '"Al2O3"', "substrate.material: Al2O3 is a ceramic: no metallic bond forms on it"),
+        ('"Al6061"', '"PEEK"', "substrate.material: PEEK is a polymer: no metallic bond forms on it"),
+    ],
+)
+def test_a_ceramic_or_a_polymer_has_no_window(tmp_path: Path, old: str, new: str, says: str) -> None:
+    """Also not a ceramic with a tensile strength, for which the formula of metals has a number."""
+    strong = '[materials.Al2O3]\nbase = "Al2O3"\nsigma_TS = "260 MPa"\n'
+    for own in ("", strong):
+        with pytest.raises(ColdsprayError, match=says):
+            _ = job_of(tmp_path, TEXT.replace(old, new, 1) + own).arrived
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:

@@ -119,6 +119,8 @@ def test_the_command_prints_tabulates_and_draws(tmp_path: Path, capsys: pytest.C
         (["--powder", "25 um", "15 um", "40 um"], "in ascending order"),
         (["--powder", "15", "25 um", "40 um"], '--powder "15" has no unit'),
         ([*POWDER, "--material", "42CrMo4"], "has no sigma_TS"), ([*POWDER, "--within", "half"], "--within"),
+        ([*POWDER, "--material", "SiC"], "--material: SiC is a ceramic"),
+        ([*POWDER, "--substrate", "SiC"], "--substrate: SiC is a ceramic"),
         ([*POWDER, "--within", "150%"], "above 0 and up to 100"),
     ],
 )  # fmt: skip
