@@ -90,7 +90,7 @@ class PairFormula:
     def words(self, velocity: float | None = None, threshold: float = 1.0) -> str:
         """A sentence about the formula, without its verdict: metals considered, velocity (m/s) and critical velocities."""
         if self.critical is None:
-            return f"no formula: {self.metal} has no tensile strength (sigma_TS)"
+            return f"no formula: the critical velocity of {self.metal} is not known"
         head = "Schmidt's formula"
         if self.base_critical is None:
             why = f"{self.base} has no tensile strength sigma_TS" if self.base else "the scene names none"

@@ -30,8 +30,8 @@ NAMES = (
     "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
 _DRAWN = ("eps_p", "T", "von_mises")
-#: Colours of metals in a micrograph, red green blue; the first is that of a coating of one metal.
-_PHASES = np.array([[1.0, 1.0, 1.0], [0.65, 0.85, 1.08], [1.05, 0.8, 0.55], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85]])
+#: Colours of metals in a micrograph, red green blue; the first is that of a coating of one metal, the last is similar to the outside.
+_PHASES = np.array([[1.0, 1.0, 1.0], [1.05, 0.8, 0.55], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85], [0.65, 0.85, 1.08]])
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 

@@ -159,7 +159,7 @@ def test_a_metal_without_a_formula_is_judged_by_its_bonds_and_named() -> None:
     impact = plan(scene_with(particle__material="V")).impact
     found = judge(COHESIVE, impact, MASS, 20.0, opened(1e-6).bonds)
     assert found.verdict == found.bonds == "rebounds"
-    assert found.rests_on.endswith("no formula: V has no tensile strength (sigma_TS)")
+    assert found.rests_on.endswith("no formula: the critical velocity of V is not known")
 
 
 def test_ties_of_the_scene_are_named_as_its_assumption() -> None:
