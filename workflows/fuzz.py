@@ -22,15 +22,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import meshio
+import numpy as np
 import verify
 
 from coupler import Result, report
 from coupler.commands.main import main as coldspray
 from coupler.errors import StoreError
-from coupler.studies.sweep import toml_text
+from coupler.geometry.triangles import together
+from coupler.particle import packing
+from coupler.scene.toml import toml_text
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 CERAMICS = ("Al2O3", "SiC", "B4C", "TiC", "WC-Co")
+POLYMERS = ("PEEK", "ABS", "PA6")
+SAMPLES = 41  # of the maps of heights in x and y
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
 PATIENCE = 600  # s of wall time
 ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
@@ -58,6 +64,13 @@ def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any
     return table | {name: value for name, value in maybe.items() if dice.random() < (0.4 if alone else 0.25)}
 
 
+def pores(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
+    """Keys of one or two pores in a particle. diameter, spacing: of the particle and its points, um."""
+    pore = dice.uniform(3.0, 4.5) * spacing
+    volume = dice.choice((1, 1, 2)) * (pore / diameter) ** 3
+    return {"porosity": round(volume / (1.0 + volume), 4), "pore_diameter": f"{pore:.4g} um"}
+
+
 def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
     """Keys of a shaped or layered substrate, in a fourth of the scenes. diameter, spacing: of the particle and its points, um."""
     angle, depth = dice.uniform(20.0, 65.0), diameter * log_between(dice, 0.05, 0.8)
@@ -69,13 +82,58 @@ def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any
         "slope": across | {"angle": f"{dice.uniform(1.0, 30.0):.4g} deg"},
     }
     said: dict[str, Any] = {name: kinds[name] for name in kinds if dice.random() < 0.07}
-    if not said and dice.random() < 0.1:
+    if not said and dice.random() < 0.15:
         thick = diameter * log_between(dice, 0.1, 0.8)
         layers = [
-            {"material": dice.choice(MATERIALS), "thickness": f"{max(thick, 1.65 * spacing):.4g} um"} for _ in range(2)
+            {"material": dice.choice(MATERIALS), "thickness": f"{max(thick, 1.75 * spacing):.4g} um"} for _ in range(2)
         ]
         said = {"layer": layers[: dice.choice((1, 2))]}
     return said
+
+
+def surface(dice: random.Random, substrate: dict[str, Any]) -> dict[str, Any]:
+    """A polymer as ground, or a file of heights on it, in a sixth of the scenes: changes of the table substrate."""
+    said: dict[str, Any] = {"material": dice.choice(POLYMERS)} if dice.random() < 0.08 else {}
+    across = float(substrate["diameter"].split()[0]) * dice.uniform(0.98, 1.3)
+    name, pitch = dice.choice((("map.csv", across / (SAMPLES - 1)), ("patch.stl", across / 2.0)))
+    if dice.random() < 0.1 and "layer" not in substrate:
+        height = across * log_between(dice, 0.002, 0.06)
+        said["height_map"] = {"file": name, "unit": f"{pitch:.4g} um", "height": f"{height:.4g} um"}
+    return said
+
+
+def write_files(dice: random.Random, folder: Path) -> None:
+    """Files that scenes name: waves of about 1 as a matrix and as an open patch from -1 to 1, a closed surface with none to two others
+    inside, the mass flow over a spot."""
+    axis = np.linspace(-1.0, 1.0, SAMPLES)
+    x, y = np.meshgrid(axis, -axis)
+    waves = [[dice.uniform(-6.0, 6.0), dice.uniform(-6.0, 6.0), dice.uniform(-3.0, 3.0)] for _ in range(3)]
+    z = sum(np.sin(a * x + b * y + c) for a, b, c in waves)
+    np.savetxt(folder / "map.csv", z, delimiter=",")
+    corner = np.arange(SAMPLES**2).reshape(SAMPLES, SAMPLES)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    meshio.Mesh(np.column_stack([x.ravel(), y.ravel(), z.ravel()]), [("triangle", triangles)]).write(
+        folder / "patch.stl"
+    )
+    points, faces = packing.surface(1.0, 0.1)
+    bodies = [(points * [dice.uniform(0.8, 1.3) for _ in "xyz"], faces)]
+    for x0 in dice.choice(((), (0.0,), (-0.22, 0.22))):
+        bodies.append((points * dice.uniform(0.2, 0.45) + [x0, dice.uniform(-0.1, 0.1), 0.0], faces))
+    points, faces = together(bodies)
+    meshio.Mesh(points, [("triangle", faces)]).write(folder / "powder.stl")
+    np.savetxt(folder / "spot.csv", [[r, max(1.0 - (r / 4.0) ** 2, 0.0)] for r in range(5)], delimiter=",")
+
+
+def bond(dice: random.Random) -> dict[str, Any]:
+    """A table [adhesion]."""
+    return dice.choice((
+        {"kind": "tied"}, {"kind": "none"},
+        {"kind": "cohesive", "strength": f"{dice.uniform(1, 900):.4g} MPa", "energy": f"{log_between(dice, 10, 1e4):.4g} J/m2"},
+        {"kind": "tied", "criterion": "plastic_strain", "threshold": round(dice.uniform(0, 2), 2)},
+        {"kind": "tied", "criterion": "pressure", "threshold": f"{dice.uniform(0, 5000):.4g} MPa"},
+        {"kind": "tied", "criterion": "velocity", "threshold": round(dice.uniform(0, 2), 2)},
+    ))  # fmt: skip
 
 
 def flight_time(table: dict[str, Any], spacing: float) -> float:
@@ -87,8 +145,97 @@ def flight_time(table: dict[str, Any], spacing: float) -> float:
     return 1e3 * gap / (velocity * math.cos(math.radians(angle)))
 
 
+def powder(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
+    """Keys of a powder. diameter, spacing: of a particle and of the points of the smallest one, um."""
+    low, high = f"{diameter * dice.uniform(0.82, 1.0):.4g} um", f"{diameter * dice.uniform(1.05, 1.25):.4g} um"
+    middle, velocity = f"{diameter:.4g} um", log_between(dice, 120, 1200)
+    said: dict[str, Any] = {"material": dice.choice(MATERIALS if dice.random() < 0.75 else CERAMICS)}
+    said |= dice.choice((
+        {"diameter": middle}, {"diameter": middle, "spread": round(dice.uniform(1.0, 1.5), 2), "smallest": low, "largest": high},
+        {"sizes": f"{low[:-3]}-{high}"}, {"sizes": [low, middle, high], "smallest": low},
+    ))  # fmt: skip
+    slow = f"{0.8 * velocity:.4g} m/s"
+    said["velocity"] = dice.choice((f"{velocity:.4g} m/s", [[low, f"{velocity:.4g} m/s"], [high, slow]]))
+    maybe = {
+        "velocity_spread": f"{dice.uniform(0, 0.1) * velocity:.4g} m/s", "temperature": f"{dice.uniform(250, 750):.4g} K",
+        "shapes": {"sphere": 1, dice.choice(SHAPES): round(dice.uniform(0, 2), 2)}, "files": "powder*.stl",
+    }  # fmt: skip
+    said |= {name: value for name, value in maybe.items() if dice.random() < 0.25}
+    if "files" not in said and "hollow_sphere" not in said.get("shapes", ()) and dice.random() < 0.25:
+        said |= pores(dice, diameter, spacing)
+    return said
+
+
+def spray(dice: random.Random) -> dict[str, Any]:
+    """A table [spray], with a gun that moves in two of three."""
+    spot = dice.uniform(2, 10)
+    said: dict[str, Any] = {
+        "feed_rate": f"{log_between(dice, 1, 100):.3g} g/min", "spot": f"{spot:.3g} mm",
+        "traverse_speed": f"{log_between(dice, 5, 1000):.4g} mm/s",
+        "distribution": dice.choice(("uniform", "gaussian", "spot.csv")), "angle": f"{dice.uniform(0, 60):.3g} deg",
+    }  # fmt: skip
+    if dice.random() < 0.67:
+        said["passes"] = dice.choice((1, 2, 2, 3))
+        said["length"] = f"{dice.uniform(0.8, 5) * 4 * spot:.4g} mm"
+        said |= {"step": f"{dice.uniform(0.05, 0.6) * spot:.3g} mm"} if dice.random() < 0.7 else {}
+        said |= {"first": f"{dice.uniform(-0.6, 0.3) * spot:.3g} mm"} if dice.random() < 0.3 else {}
+    return {
+        name: value
+        for name, value in said.items()
+        if name in ("passes", "length", "step", "first") or dice.random() < 0.6
+    }
+
+
+def coating(seed: int) -> dict[str, Any]:
+    """The scene of a seed with a table [coating]: two to four particles of one to three powders, mostly to the end and cold."""
+    dice = random.Random(f"coating {seed}")
+    diameter, count = log_between(dice, 3, 80), dice.choice((2, 3, 3, 4))
+    spacing = 0.8 * diameter * (math.pi / 6 / log_between(dice, 205, 320)) ** (1 / 3)
+    kinds = dice.choice((1, 2, 2, min(count, 3)))
+    radius = diameter * dice.uniform(0.0, 1.2)
+    table: dict[str, Any] = {
+        "number": count, "layers": 2 if count == 4 and dice.random() < 0.4 else 1, "radius": f"{radius:.4g} um",
+        "positions": dice.choice(("random", "even")), "seed": seed,
+    }  # fmt: skip
+    if kinds == 1 or dice.random() < 0.3:
+        table |= powder(dice, diameter, spacing)
+    if kinds > 1:
+        shares = [dice.uniform(0.8, 1.2) for _ in range(kinds)]
+        table["powder"] = [
+            powder(dice, diameter, spacing) | {"share": round(share / sum(shares), 4)} for share in shares
+        ]
+    substrate: dict[str, Any] = {
+        "material": dice.choice(MATERIALS), "diameter": f"{diameter * dice.uniform(4.5, 6) + 2 * radius:.4g} um",
+        "height": f"{diameter * dice.uniform(2.7, 4):.4g} um",
+    }  # fmt: skip
+    substrate |= {"temperature": f"{dice.uniform(200, 700):.4g} K"} if dice.random() < 0.2 else {}
+    substrate |= shape(dice, diameter, spacing)
+    if "layer" not in substrate and dice.random() < 0.15:
+        Sa = log_between(dice, 0.005, 0.08) * diameter
+        length = max(4.0 * Sa, 7.0 * spacing) * dice.uniform(1.0, 3.0)
+        substrate |= {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
+    substrate |= surface(dice, substrate)
+    said: dict[str, Any] = {
+        "coating": table, "substrate": substrate,
+        "resolution": {"spacing": f"{spacing:.4g} um", "engine": dice.choice(("compiled", "enriched", "enriched", "machdyn"))},
+    }  # fmt: skip
+    if dice.random() < 0.6:
+        said["spray"] = spray(dice)
+    if (passes := "passes" in said.get("spray", ())) or dice.random() < 0.5:
+        table |= {} if passes else {"dwell": f"{log_between(dice, 0.1, 1000):.4g} us"}
+    if dice.random() < 0.4:
+        said["end"] = dice.choice(
+            ({"at": "greatest"}, {"time": f"{dice.uniform(0.3, 1.5) * diameter:.4g} ns"}, {"ambient": "350 K"})
+        )
+    if dice.random() < 0.3 or "42CrMo4" in str(said) or substrate["material"] in POLYMERS:
+        said["adhesion"] = bond(dice)
+    return said
+
+
 def scene(seed: int) -> dict[str, Any]:
-    """The scene of a seed: fields over their ranges, but sizes that go together, so that most can be computed."""
+    """The scene of a seed: fields over their ranges, but sizes that go together, so that most can be computed. A third are coatings."""
+    if seed % 3 == 0:
+        return coating(seed)
     dice = random.Random(seed)
     count = dice.choice((1, 1, 1, 1, 2, 3))
     diameter = log_between(dice, 1, 200)
@@ -113,13 +260,15 @@ def scene(seed: int) -> dict[str, Any]:
     for table in (*particles, substrate):
         if hard.random() < 0.1:
             table["material"] = hard.choice(CERAMICS)
-    for table in particles:
+    for table, of_one in zip(particles, diameters, strict=True):
         if hard.random() < 0.15 and table.get("shape") != "hollow_sphere":
-            table |= {
-                "porosity": round(hard.uniform(0.02, 0.3), 3),
-                "pore_diameter": f"{hard.uniform(2.5, 6.0) * spacing:.4g} um",
-            }
+            table |= pores(hard, of_one, spacing)
+        elif hard.random() < 0.07:
+            table |= {"shape": "file", "file": "powder.stl"}
     substrate |= shape(random.Random(f"shape {seed}"), diameter, spacing)
+    if "layer" in substrate:  # which is flat
+        substrate.pop("roughness", None)
+    substrate |= surface(random.Random(f"surface {seed}"), substrate)
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}
     if dice.random() < 0.3:
         resolution["element_size"] = f"{spacing * dice.uniform(0.8, 1.6):.4g} um"
@@ -141,13 +290,7 @@ def scene(seed: int) -> dict[str, Any]:
     if dice.random() < 0.3:
         said["output"] = {"every": f"{max(end * log_between(dice, 2e-2, 2), 0.001):.4g} ns"}
     if count > 1 and dice.random() < 0.7:
-        said["adhesion"] = dice.choice((
-            {"kind": "tied"}, {"kind": "none"},
-            {"kind": "cohesive", "strength": f"{dice.uniform(1, 900):.4g} MPa", "energy": f"{log_between(dice, 0.1, 1e4):.4g} J/m2"},
-            {"kind": "tied", "criterion": "plastic_strain", "threshold": round(dice.uniform(0, 2), 2)},
-            {"kind": "tied", "criterion": "pressure", "threshold": f"{dice.uniform(0, 5000):.4g} MPa"},
-            {"kind": "tied", "criterion": "velocity", "threshold": round(dice.uniform(0, 2), 2)},
-        ))  # fmt: skip
+        said["adhesion"] = bond(dice)
     resolution["engine"] = ("compiled", "compiled", "enriched", "enriched", "machdyn")[seed % 5]
     if count > 1 and dice.random() < 0.5:
         said["splat"] = {"method": dice.choice(("auto", "carried", "density"))}
@@ -209,9 +352,11 @@ def _run(command: list[str], log: Path, patience: int, memory: int) -> None:
 
 
 def played(seed: int, folder: Path) -> tuple[str, str]:
-    """Compute the scene of a seed, and check its result. Returns how it ended, and what is wrong with that."""
+    """Compute the scene of a seed, check its result, and measure it if it is a coating. Returns how it ended, and what is wrong."""
     path, out, log = folder / "scene.toml", folder.with_name("out"), folder / "log"
-    path.write_text(toml_text(scene(seed)))
+    said = scene(seed)
+    path.write_text(toml_text(said))
+    write_files(random.Random(f"files {seed}"), folder)
     code, _ = ended(["run", str(path), "--out", str(out), "--quiet", "--threads", "1"], log, PATIENCE)
     faults: list[str] = []
     if code in (0, 4):
@@ -219,7 +364,12 @@ def played(seed: int, folder: Path) -> tuple[str, str]:
             faults = verify.check(Result(out)).faults
         except StoreError as problem:
             faults = [str(problem)]
-    return ENDS.get(code or 0, ""), verdict(code, log.read_text(errors="replace"), faults)
+    wrong = verdict(code, log.read_text(errors="replace"), faults)
+    if not wrong and code == 0 and "coating" in said:
+        log = folder / "log_coating"
+        measured, _ = ended(["coating", str(out)], log, PATIENCE)
+        wrong = verdict(measured, text := log.read_text(errors="replace"), ["nan"] if "nan" in text.lower() else [])
+    return ENDS.get(code or 0, ""), f"coating: {wrong}" if wrong and log.name != "log" else wrong
 
 
 def tried(

@@ -199,12 +199,14 @@ def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
     normal = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
     area = 0.5 * np.linalg.norm(normal, axis=1)
     normal /= 2.0 * area[:, None]
-    base = target.points[np.unique(target.cells[target.data["body"] == 0])]
+    base = target.points[np.unique(target.cells[target.data["impact"] == 0])]
     moved = base[cKDTree(base).query(own)[1]] - own
     across = np.einsum("fci,fi->fc", moved, normal) ** 2
     R = np.linalg.norm(own.mean(axis=1), axis=1)
     each = (2.0 * (np.einsum("fci,fci->fc", moved, moved) - across) + 4.0 * across).sum(axis=1) / 3.0
-    G = scene.derived.material(substrate.material).G
+    below = -np.cumsum([layer.thickness for layer in substrate.layer])  # z of each layer's lower side
+    of_face = (own[:, :, 2].mean(axis=1)[:, None] < below).sum(axis=1)
+    G = np.array([scene.derived.material(name).G for name in substrate.materials])[of_face]
     return float(0.5 * np.sum(G / R * area * each))
 
 
@@ -267,11 +269,12 @@ def check(result: Result) -> Findings:
 
 
 def bodies_of(scene: Scene, target: Fields) -> list[tuple[Material, float]]:
-    """Material and initial temperature (K) of each body of a target."""
+    """Material and initial temperature (K) of each body of a target: the substrate, its layers upwards, the splats."""
     came = np.zeros(int(target.data["body"].max()) + 1, int)
     came[target.data["body"].astype(int)] = target.data["impact"]
-    parts = [scene.substrate, *(scene.particles[k - 1] for k in came[1:])]
-    return [(scene.derived.material(part.material), part.temperature) for part in parts]
+    ground = [(name, scene.substrate.temperature) for name in reversed(scene.substrate.materials)]
+    splats = [scene.particles[k - 1] for k in came[len(ground) :]]
+    return [(scene.derived.material(name), T) for name, T in [*ground, *((p.material, p.temperature) for p in splats)]]
 
 
 def splat_volumes(scene: Scene, target: Fields, volume: Array, joins: list[dict[str, Any]]) -> dict[int, float]:

@@ -14,12 +14,12 @@ import numpy as np
 from .. import units
 from ..physics.materials import Material, mixed, unknown
 from ..physics.shapes import sphere_volume
-from ..scene.coating import Coating, PowderTable
+from ..scene.coating import MOST_PARTICLES, Coating, PowderTable
 from ..scene.tables import Spray, read_table
-from .passes import arrivals
+from .passes import arrivals, divided
 from .powder import sizes_of
 
-_STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
+STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
 _CANDIDATES = 20  # random positions; an "even" layer uses the one farthest from its other positions
 _CUT = 2.0  # limit of the velocity, in standard deviations
 _BROADER = 3.0  # default limits of the diameter, in standard deviations of the logarithm
@@ -65,7 +65,7 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
     particle is added for this check."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
-        raw.setdefault("particle", [dict(_STAND_IN)])
+        raw.setdefault("particle", [dict(STAND_IN)])
         return []
     there = raw.get("particle")
     if there is not None:
@@ -86,9 +86,9 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
     except ValueError as error:
         problems.append(f"spray.{error}")
     try:
-        raw["particle"] = particles(table, fed, *passes, spray.angle) if not problems else [dict(_STAND_IN)]
+        raw["particle"] = particles(table, fed, *passes, spray.angle) if not problems else [dict(STAND_IN)]
     except ValueError as error:
-        raw["particle"] = [dict(_STAND_IN)]
+        raw["particle"] = [dict(STAND_IN)]
         problems.append(f"coating.{error}")
     return problems
 
@@ -127,14 +127,13 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
     """Number of particles of each powder, for the mass fractions of the table. Raises ValueError if a powder has no particle."""
     shares = [powder.share for powder in table.powder] if table.powder else [1.0]
     each = np.array([share / powder.mass for share, powder in zip(shares, fed, strict=True)])
-    exact = table.number * each / each.sum()
-    counts = np.floor(exact).astype(int)
-    counts[np.argsort(counts - exact, kind="stable")[: table.number - counts.sum()]] += 1
+    counts = divided(table.number, each)
     if not counts.all():
-        i = int(np.argmin(counts))
-        least = math.ceil(0.5 * each.sum() / each[i])
+        more = range(table.number + table.layers, MOST_PARTICLES + 1, table.layers)
+        enough = next((n for n in more if divided(n, each).all()), None)
+        give = "a larger share" if enough is None else f"{enough} particles"
         raise ValueError(
-            f"number = {table.number}: powder[{i + 1}] has no particle, because its share is small: give at least {least} particles"
+            f"number = {table.number}: powder[{int(np.argmin(counts)) + 1}] has no particle, because its share is small: give {give}"
         )
     return counts.tolist()
 

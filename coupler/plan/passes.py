@@ -37,6 +37,14 @@ def spot_of(path: GunPath, folder: Path) -> Spot:
         raise ValueError(f'distribution = "{path.distribution[:60]}": {error}; give {kinds}') from None
 
 
+def divided(number: int, weights: np.ndarray) -> np.ndarray:
+    """A number of particles divided by weights (k,): whole numbers (k,) by the largest remainders."""
+    exact = number * weights / weights.sum()
+    counts = np.floor(exact).astype(int)
+    counts[np.argsort(counts - exact, kind="stable")[: number - counts.sum()]] += 1
+    return counts
+
+
 def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], list[float | None]]:
     """Numbers of particles in the passes of a layer, without empty passes. Returns also for each particle of the coating the time (s)
     until the next particle, None if the path does not set it.
@@ -62,9 +70,7 @@ def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], li
         raise ValueError(
             f"length = {length}: the spot does not leave the patch between two passes: give at least {least}"
         )
-    exact = number * rate / rate.sum()
-    counts = np.floor(exact).astype(int)
-    counts[np.argsort(counts - exact, kind="stable")[: number - counts.sum()]] += 1
+    counts = divided(number, rate)
     times = [
         (layer * len(away) + k) * path.time_between_passes + y / path.traverse_speed
         for layer in range(table.layers)

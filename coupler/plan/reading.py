@@ -19,7 +19,7 @@ from ..scene.tables import Particle, Section, read_table
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
 from .batches import Landing, side_by_side
 from .check import problems_of
-from .coating import expand
+from .coating import STAND_IN, expand
 from .derived import Derived
 from .gas import fill
 from .own import KINDS, named, with_library
@@ -134,6 +134,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
         problems += expand(raw, Path(source).parent, catalogue)
+    stands_in = drawn and raw["particle"] == [STAND_IN]
     _set_defaults(raw)
     problems += fill(raw, catalogue)
     with_folders(raw, source)
@@ -141,7 +142,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     particles = raw.get("particle")
     several = isinstance(particles, list) and len(particles) > 1
     problems += [in_words(entry, several) for entry in entries]
-    faulty = {dotted(entry["loc"], several) for entry in entries}
+    faulty = {dotted(entry["loc"], several) for entry in entries} | ({"particle"} if stands_in else set())
     scene = without(raw, [entry["loc"] for entry in entries]) if entries else read
     problems += material_problems
     if scene is not None:

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSch
 
 from .. import units
 from ..physics import shapes as morphology
-from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Core, Quantity, Section
+from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Core, Quantity, Section, check_pores
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
@@ -34,6 +34,7 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
     return diameters
 
 
+MOST_PARTICLES = 500
 _SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
 SIZE_FORMS = (
     '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file with sizes'
@@ -95,7 +96,7 @@ class PowderTable(Section):
         return value
 
     @model_validator(mode="after")
-    def _has_one_size(self) -> Self:
+    def _has_one_size_and_sized_pores(self) -> Self:
         if isinstance(self, Coating) and self.powder:  # each powder has its own
             return self
         if (self.diameter is None) == (self.sizes is None):
@@ -105,6 +106,12 @@ class PowderTable(Section):
         low, high = self.smallest or 0.0, self.largest or math.inf
         if not low <= (self.diameter or low) <= high:
             raise ValueError("needs values with smallest <= diameter <= largest")
+        check_pores(self.porosity, self.pore_diameter)
+        hollow = self.shapes.get("hollow_sphere", 0.0) > 0.0
+        if self.porosity > 0.0 and (self.files or hollow):
+            raise ValueError(
+                f"has no porosity with {'files' if self.files else 'hollow spheres'}: a file has its pores as surfaces inside it"
+            )
         return self
 
 
@@ -122,7 +129,7 @@ class Coating(PowderTable):
     default values are those of [coating].
     """
 
-    number: StrictInt = Field(ge=1, le=500)
+    number: StrictInt = Field(ge=1, le=MOST_PARTICLES)
     layers: StrictInt = Field(1, ge=1, le=100)
     radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
     positions: Literal["random", "even"] = "random"

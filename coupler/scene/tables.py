@@ -117,6 +117,12 @@ def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails
         return None, error.errors(include_url=False)
 
 
+def check_pores(porosity: float, pore_diameter: float | None) -> None:
+    """Raises ValueError if only one of the keys of pores is given."""
+    if (porosity > 0.0) != (pore_diameter is not None):
+        raise ValueError('needs both porosity and pore_diameter, such as 0.1 and "5 um"; leave out both for no pores')
+
+
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
 Temperature = Annotated[float, KELVIN]
 Face = Literal["absorbing", "free", "fixed", "half_space"]
@@ -185,10 +191,7 @@ class Particle(Section):
 
     @model_validator(mode="after")
     def _has_sized_pores(self) -> "Particle":
-        if (self.porosity > 0.0) != (self.pore_diameter is not None):
-            raise ValueError(
-                'needs both porosity and pore_diameter, such as 0.1 and "5 um"; leave out both for no pores'
-            )
+        check_pores(self.porosity, self.pore_diameter)
         if self.porosity > 0.0 and self.shape in ("hollow_sphere", "file"):
             raise ValueError(f'has no porosity with shape = "{self.shape}": a file has its pores as surfaces inside it')
         return self

@@ -1,6 +1,7 @@
 """Particles that are drawn from a table [coating], of one powder or of a blend."""
 
 import math
+import re
 import tomllib
 from pathlib import Path
 
@@ -96,6 +97,12 @@ def test_a_blend_that_is_written_out_is_the_same_scene(tmp_path: Path) -> None:
         ('sizes = "15-25 um"', "", "coating.powder[1] needs either diameter"),
         ('sizes = "15-25 um"', 'sizes = "15-25 um"\ncolour = "red"', "coating.powder[1].colour: unknown key"),
         ('velocity = "600 m/s"', "", "coating.powder[1].velocity: missing"),
+        ('"15-25 um"', '"15-25 um"\nporosity = 0.1', "coating.powder[1] needs both porosity and pore_diameter"),
+        (
+            '"15-25 um"',
+            '"15-25 um"\nporosity = 0.1\npore_diameter = "6 um"\nfiles = "*.stl"',
+            "coating.powder[1] has no porosity with files",
+        ),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_blend_is_named_by_its_key(before: str, after: str, says: str) -> None:
@@ -107,12 +114,29 @@ def test_what_is_wrong_with_a_blend_is_named_by_its_key(before: str, after: str,
 
 
 def test_a_powder_too_rare_for_the_number_of_particles_is_refused() -> None:
-    text = BLEND.replace("share = 0.7", "share = 0.999").replace("share = 0.3", "share = 0.001")
-    with pytest.raises(
-        SceneError,
-        match=r"coating.number = 60: powder\[2\] has no particle, because its share is small: give at least \d+ particles",
-    ):
+    """The number that the message gives is enough, also where a third powder takes the largest remainder."""
+    third = '[[coating.powder]]\nmaterial = "Ni"\nshare = 0.2\ndiameter = "20 um"\n\n[substrate]'
+    rare = BLEND.replace("share = 0.7", "share = 0.79").replace("share = 0.3", "share = 0.01")
+    text = rare.replace("[substrate]", third).replace("layers = 3", "layers = 1").replace("number = 60", "number = 4")
+    with pytest.raises(SceneError) as error:
         Scene.from_text(text)
+    said = re.search(
+        r"number = 4: powder\[2\] has no particle, because its share is small: give (\d+) part", str(error.value)
+    )
+    assert said is not None
+    Scene.from_text(text.replace("number = 4", f"number = {said[1]}"))
+    with pytest.raises(
+        SceneError, match=r"powder\[2\] has no particle, because its share is small: give a larger share"
+    ):
+        Scene.from_text(text.replace("share = 0.01", "share = 0.0001").replace("0.79", "0.7999"))
+
+
+def test_what_follows_from_a_particle_in_place_of_a_faulty_coating_is_not_told() -> None:
+    """The target is too low for it, not for the particles of the scene."""
+    text = BLEND.replace('velocity = "600 m/s"', "").replace('height = "80 um"', 'height = "45 um"')
+    with pytest.raises(SceneError) as error:
+        Scene.from_text(text)
+    assert len(error.value.problems) == 1
 
 
 RASTER = """
