@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 MIN_NEIGHBOURS = 4
+LEAST_SPREAD = 0.1  # smallest principal sum of squares of the directions to the neighbours: 4 inside, 0 in a plane
 # points of the unit cell of the lattice, in edges
 CELL = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
 EDGE = len(CELL) ** (1.0 / 3.0)  # of the unit cell, in spacings
@@ -48,8 +49,7 @@ def fill(
     inside: function of positions (k,3) m, returns (k,) bool; half: half extents of the body, m; volume: volume of the body, m3,
     divided equally among the points; flat: axes along which the body ends in flat faces. The best of several lattice constants and
     offsets is chosen: volume and second moments of the points with their cells are closest to those of the body, and outermost layers
-    lie half a layer inside flat faces. Points with fewer than MIN_NEIGHBOURS neighbours are removed: their deformation gradient is
-    undefined.
+    lie half a layer inside flat faces. Points whose deformation gradient is undefined (`_connected`) are removed.
     """
     moments = _second_moments(inside, half)
     best: tuple[float, np.ndarray] | None = None
@@ -81,11 +81,17 @@ def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half: tuple[floa
 
 
 def _connected(cloud: np.ndarray, spacing: float) -> np.ndarray:
+    """The points (k,3) without those whose deformation gradient is undefined: with few neighbours, or with all of them in a plane."""
     while True:
-        neighbours = cKDTree(cloud).query_ball_point(cloud, 1.3 * spacing, return_length=True) - 1
-        if neighbours.min() >= MIN_NEIGHBOURS:
+        i, j = cKDTree(cloud).query_pairs(1.3 * spacing, output_type="ndarray").T
+        along = (cloud[j] - cloud[i]) / np.linalg.norm(cloud[j] - cloud[i], axis=1)[:, None]
+        both, products = np.concatenate([i, j]), np.tile(np.einsum("ka,kb->abk", along, along), 2)
+        spread = np.array([[np.bincount(both, entry, len(cloud)) for entry in row] for row in products])
+        kept = np.bincount(both, minlength=len(cloud)) >= MIN_NEIGHBOURS
+        kept &= np.linalg.eigvalsh(spread.transpose(2, 0, 1))[:, 0] > LEAST_SPREAD
+        if kept.all():
             return cloud
-        cloud = cloud[neighbours >= MIN_NEIGHBOURS]
+        cloud = cloud[kept]
 
 
 def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:

@@ -165,6 +165,16 @@ def test_pores_have_their_share_and_lie_in_the_metal(name: str) -> None:
         morphology.pores(outer, V, 0.4, 9e-6, 1)
 
 
+@pytest.mark.parametrize(("name", "seed"), [("sphere", 1), ("flake", 5)])
+def test_walls_of_pores_hold_no_points_in_a_plane(name: str, seed: int) -> None:
+    """A point whose neighbours all lie in a plane has no deformation gradient: MACHDYN's scheme fails in its first step."""
+    outer = morphology.form(name, D).scaled(0.9 ** (-1.0 / 3.0))
+    b = shapes.shape(name, D, 420, pores=morphology.pores(outer, V, 0.1, 9e-6, seed))
+    around = cKDTree(b.points).query_ball_point(b.points, 1.3 * b.spacing)
+    away = [b.points[near] - x for near, x in zip(around, b.points, strict=True)]
+    assert min(np.linalg.matrix_rank(r, tol=0.1 * b.spacing) for r in away) == 3
+
+
 def _centroid(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Centre (3,) of the volume inside a closed surface."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
