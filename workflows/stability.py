@@ -65,7 +65,7 @@ def deadline(patience: float = PATIENCE) -> Callable[[Impact], None]:
 
 def scene(particle: Table | list[Table], points: int = POINTS, **more: Any) -> Table:
     """A scene with so many points in its largest particle, on a target four diameters wide, and wider where one slides. particle: what
-    changes of USUAL; more: what changes of other tables."""
+    changes of USUAL, without effect beside a table [coating]; more: what changes of other tables."""
     particles = [USUAL | each for each in (particle if isinstance(particle, list) else [particle])]
 
     def number(text: str) -> float:
@@ -73,12 +73,14 @@ def scene(particle: Table | list[Table], points: int = POINTS, **more: Any) -> T
 
     largest = max(number(p["diameter"]) for p in particles)
     far = max(np.hypot(*map(number, p["offset"])) for p in particles)
+    far += number(more["coating"]["radius"]) if "coating" in more else 0.0
     far += max(SLIDE * largest * (number(p["angle"]) > STEEP) for p in particles)
     wide = 2.0 if any(p["shape"] in ("rod", "flake", "oblate", "hollow_sphere") for p in particles) else 1.0
     spacing = (np.pi / 6 * largest**3 / points) ** (1 / 3)
     size = {"diameter": f"{4 * largest * wide + 2 * far:.6g} um", "height": f"{2.5 * largest:.6g} um"}
     return {
-        "particle": particles, "substrate": {"material": "SS304", **size, **more.pop("substrate", {})},
+        **({} if "coating" in more else {"particle": particles}),
+        "substrate": {"material": "SS304", **size, **more.pop("substrate", {})},
         "resolution": {"spacing": f"{spacing:.6g} um", **more.pop("resolution", {})}, **more,
     }  # fmt: skip
 

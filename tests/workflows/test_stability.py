@@ -280,6 +280,15 @@ def test_random_scenes_are_made_from_their_seed() -> None:
     assert fuzz.scene(5) == fuzz.scene(5) != fuzz.scene(6)
     ways = {json.dumps(fuzz.scene(seed).get("adhesion", {}).get("kind")) for seed in range(60)}
     assert ways == {"null", '"none"', '"tied"', '"cohesive"'}
+    drawn = [fuzz.scene(seed) for seed in range(300)]
+    keys = {
+        table: {key for each in drawn for key in each.get(table, ())} for table in ("spray", "substrate", "coating")
+    }
+    assert keys["spray"] >= {"passes", "step", "first", "length", "angle", "distribution"}
+    assert keys["substrate"] >= {"layer", "groove", "step", "slope", "roughness", "height_map"}
+    assert keys["coating"] >= {"powder", "porosity"}
+    names = ["map.csv", "patch.stl", "'powder.stl'", "powder*.stl", *fuzz.CERAMICS, *fuzz.POLYMERS]
+    assert [name for name in names if name not in str(drawn)] == []
 
 
 def test_only_a_result_without_fault_or_one_message_is_a_good_end() -> None:
