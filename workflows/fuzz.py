@@ -91,6 +91,15 @@ def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any
     return said
 
 
+def roughness(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
+    """Keys of a rough substrate, in a fifth of the scenes. diameter, spacing: of the particle and its points, um."""
+    if dice.random() >= 0.2:
+        return {}
+    Sa = log_between(dice, 0.005, 0.08) * diameter
+    length = max(4.0 * Sa, 7.0 * spacing) * dice.uniform(0.9, 3.0)
+    return {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
+
+
 def surface(dice: random.Random, substrate: dict[str, Any]) -> dict[str, Any]:
     """A polymer as ground, or a file of heights on it, in a sixth of the scenes: changes of the table substrate."""
     said: dict[str, Any] = {"material": dice.choice(POLYMERS)} if dice.random() < 0.08 else {}
@@ -210,10 +219,7 @@ def coating(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     substrate |= {"temperature": f"{dice.uniform(200, 700):.4g} K"} if dice.random() < 0.2 else {}
     substrate |= shape(dice, diameter, spacing)
-    if "layer" not in substrate and dice.random() < 0.15:
-        Sa = log_between(dice, 0.005, 0.08) * diameter
-        length = max(4.0 * Sa, 7.0 * spacing) * dice.uniform(1.0, 3.0)
-        substrate |= {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
+    substrate |= roughness(dice, diameter, spacing) if "layer" not in substrate else {}
     substrate |= surface(dice, substrate)
     said: dict[str, Any] = {
         "coating": table, "substrate": substrate,
@@ -221,8 +227,8 @@ def coating(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     if dice.random() < 0.6:
         said["spray"] = spray(dice)
-    if (passes := "passes" in said.get("spray", ())) or dice.random() < 0.5:
-        table |= {} if passes else {"dwell": f"{log_between(dice, 0.1, 1000):.4g} us"}
+    if "passes" not in said.get("spray", ()) and dice.random() < 0.5:
+        table["dwell"] = f"{log_between(dice, 0.1, 1000):.4g} us"
     if dice.random() < 0.4:
         said["end"] = dice.choice(
             ({"at": "greatest"}, {"time": f"{dice.uniform(0.3, 1.5) * diameter:.4g} ns"}, {"ambient": "350 K"})
@@ -251,11 +257,9 @@ def scene(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     if dice.random() < 0.3:
         substrate["temperature"] = f"{log_between(dice, 100, 1500):.4g} K"
-    rough = random.Random(f"rough {seed}")  # of its own, so that a seed keeps all else
-    if rough.random() < 0.2:
-        Sa = log_between(rough, 0.005, 0.08) * diameter
-        length = max(4.0 * Sa, 7.0 * spacing) * rough.uniform(0.9, 3.0)
-        substrate |= {"roughness": f"{Sa:.4g} um", "roughness_length": f"{max(length, 1.0):.4g} um"}
+    substrate |= roughness(
+        random.Random(f"rough {seed}"), diameter, spacing
+    )  # of its own, so that a seed keeps all else
     hard = random.Random(f"hard {seed}")
     for table in (*particles, substrate):
         if hard.random() < 0.1:
