@@ -107,11 +107,10 @@ class PowderTable(Section):
         if not low <= (self.diameter or low) <= high:
             raise ValueError("needs values with smallest <= diameter <= largest")
         check_pores(self.porosity, self.pore_diameter)
-        hollow = self.shapes.get("hollow_sphere", 0.0) > 0.0
-        if self.porosity > 0.0 and (self.files or hollow):
-            raise ValueError(
-                f"has no porosity with {'files' if self.files else 'hollow spheres'}: a file has its pores as surfaces inside it"
-            )
+        if self.porosity > 0.0 and self.files:
+            raise ValueError("has no porosity with files: a file has its pores as surfaces inside it")
+        if self.porosity > 0.0 and self.shapes.get("hollow_sphere", 0.0) > 0.0:
+            raise ValueError("has no porosity with hollow spheres: leave out one of both")
         return self
 
 
