@@ -157,7 +157,7 @@ def flight_time(table: dict[str, Any], spacing: float) -> float:
 def powder(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any]:
     """Keys of a powder. diameter, spacing: of a particle and of the points of the smallest one, um."""
     low, high = f"{diameter * dice.uniform(0.82, 1.0):.4g} um", f"{diameter * dice.uniform(1.05, 1.25):.4g} um"
-    middle, velocity = f"{diameter:.4g} um", log_between(dice, 120, 1200)
+    middle, velocity = f"{diameter:.4g} um", log_between(dice, 250, 1100)
     said: dict[str, Any] = {"material": dice.choice(MATERIALS if dice.random() < 0.75 else CERAMICS)}
     said |= dice.choice((
         {"diameter": middle}, {"diameter": middle, "spread": round(dice.uniform(1.0, 1.5), 2), "smallest": low, "largest": high},
@@ -196,14 +196,14 @@ def spray(dice: random.Random) -> dict[str, Any]:
 
 
 def coating(seed: int) -> dict[str, Any]:
-    """The scene of a seed with a table [coating]: two to four particles of one to three powders, mostly to the end and cold."""
+    """The scene of a seed with a table [coating]: two or three particles of one to three powders, half of them to the end and cold."""
     dice = random.Random(f"coating {seed}")
-    diameter, count = log_between(dice, 3, 80), dice.choice((2, 3, 3, 4))
+    diameter, count = log_between(dice, 3, 80), dice.choice((2, 2, 2, 3))
     spacing = 0.8 * diameter * (math.pi / 6 / log_between(dice, 205, 320)) ** (1 / 3)
     kinds = dice.choice((1, 2, 2, min(count, 3)))
     radius = diameter * dice.uniform(0.0, 1.2)
     table: dict[str, Any] = {
-        "number": count, "layers": 2 if count == 4 and dice.random() < 0.4 else 1, "radius": f"{radius:.4g} um",
+        "number": count, "layers": dice.choice((1, 1, count)), "radius": f"{radius:.4g} um",
         "positions": dice.choice(("random", "even")), "seed": seed,
     }  # fmt: skip
     if kinds == 1 or dice.random() < 0.3:
@@ -229,10 +229,9 @@ def coating(seed: int) -> dict[str, Any]:
         said["spray"] = spray(dice)
     if "passes" not in said.get("spray", ()) and dice.random() < 0.5:
         table["dwell"] = f"{log_between(dice, 0.1, 1000):.4g} us"
-    if dice.random() < 0.4:
-        said["end"] = dice.choice(
-            ({"at": "greatest"}, {"time": f"{dice.uniform(0.3, 1.5) * diameter:.4g} ns"}, {"ambient": "350 K"})
-        )
+    if dice.random() < 0.6:
+        time = {"time": f"{dice.uniform(0.3, 1.2) * diameter:.4g} ns"}
+        said["end"] = dice.choice(({"at": "greatest"}, time, time, {"ambient": "350 K"}))
     if dice.random() < 0.3 or "42CrMo4" in str(said) or substrate["material"] in POLYMERS:
         said["adhesion"] = bond(dice)
     return said
