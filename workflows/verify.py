@@ -409,11 +409,13 @@ class _ImpactCheck:
             self.hold("joined", ratio - 1.0, JOINED, f"volume of splat {k} against its mass")
         for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
-            bounds = []  # of the change of volume that the pressure makes, m3, at the first and the last instant
-            for f, volume in ((self.first, self.volumes[0]), (self.last, self.volumes[-1])):
+            # of the change of volume that the pressure makes, m3, at the first and the last instant. Pressures are means over the
+            # corners of an element, which have the volume of all elements around: those at the start, for they are of its J
+            bounds = []
+            for f in (self.first, self.last):
                 data = f["target"].data
                 ratios = volume_ratios(metal, mean_pressure(data["stress"][own]), data["T"][own], T_0)
-                bounds.append([float(volume[own] @ (J - 1.0)) for J in ratios])
+                bounds.append([float(self.volumes[0][own] @ (J - 1.0)) for J in ratios])
             (low_0, high_0), (low, high) = bounds
             start, end = self.volumes[0][own].sum(), self.volumes[-1][own].sum()
             excess = max(end - start - (high - low_0), low - high_0 - (end - start), 0.0) / (
