@@ -2,6 +2,7 @@
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -12,6 +13,7 @@ from ..core.arrays import Floats
 
 WAVES = 256  # in the field: the heights are normal to 1 % of their standard deviation
 SAMPLES = 64  # across the disc, for mean and Sa
+SEEN = 15  # places on each side of a sphere at which the surface under it is sampled, on 1.5 radii
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,31 @@ class Ground:
         inside = np.hypot(places[..., 0], places[..., 1]) <= 0.5 * diameter
         slope = np.hypot(np.diff(z, axis=0)[:, :-1], np.diff(z, axis=1)[:-1]) / step
         return float(z[inside].min()), float(z[inside].max()), float(slope[inside[:-1, :-1]].max())
+
+
+def normal_under(
+    heights: Callable[[Floats], Floats], at: tuple[float, float], radius: float, velocity: tuple[float, float, float], gap: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Upward unit normal of a surface where a sphere first touches it.
+
+    heights: heights (k,) m at points (k,2) m; at (x, y) m, radius (m), velocity (m/s): centre, size and motion of the sphere; gap (m):
+    vertical distance from the surface at the start. Slopes are central differences over two tenths of the radius.
+    """
+    step = 1.5 * radius / SEEN
+    side = step * np.arange(-SEEN, SEEN + 1)
+    away = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    z, room = heights(away + at), radius**2 - (away**2).sum(axis=1)
+    under = room >= 0.0
+    start = float((z[under] + np.sqrt(room[under])).max()) + gap  # height of the centre
+    p = np.column_stack([away, z - start])
+    along = p @ (np.array(velocity) / np.linalg.norm(velocity))
+    room = radius**2 - (p**2).sum(axis=1) + along**2  # negative: beside the path of the sphere
+    path = np.where(room >= 0.0, along - np.sqrt(np.maximum(room, 0.0)), np.inf)
+    touched = away[np.argmin(path)] + at
+    h = heights(touched + step * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]))
+    slopes = (h[0] - h[1]) / (2.0 * step), (h[2] - h[3]) / (2.0 * step)
+    length = math.hypot(*slopes, 1.0)
+    return -float(slopes[0]) / length, -float(slopes[1]) / length, 1.0 / length
 
 
 def heights(at: Floats, diameter: float, Sa: float, length: float, seed: int) -> Floats:

@@ -45,8 +45,8 @@ class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
     particle: its points on all ranks; bodies: substrate and splats; surface: outer surface of the particle, carried by its points;
-    level: height (m) of the target's surface where the particle first touches it; paths: heat flow between chunks of steps; folding:
-    self-contact of the particle, None if it is not computed.
+    level: height (m) of the target's surface where the particle first touches it; normal (3,): of the ground there; paths: heat flow
+    between chunks of steps; folding: self-contact of the particle, None if it is not computed.
     """
 
     particle: DistributedParticle
@@ -54,6 +54,7 @@ class Domains:
     contact: Contact
     surface: CarriedSurface
     level: float
+    normal: np.ndarray
     paths: HeatPaths
     folding: Folding | None
 
@@ -181,7 +182,7 @@ def build_domains(
     paths = HeatPaths(
         particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
     )
-    return Domains(particle, bodies, contact, surface, level, paths, itself)
+    return Domains(particle, bodies, contact, surface, level, np.array(impact_plan.normal), paths, itself)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:

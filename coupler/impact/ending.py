@@ -62,10 +62,10 @@ class EndCriterion(EndState):
     def observe(
         self, time: float, sinking: float, force: float, grip: Grip = "free", is_above: bool = True, work: float = 0.0
     ) -> None:
-        """Record the state at `time` s. sinking (m/s): downward speed of the centre of mass; force (N): upward contact force on the
-        particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can absorb
-        far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether its centre is above the
-        target; work (J): energy dissipated so far."""
+        """Record the state at `time` s. sinking (m/s): speed of the centre of mass towards the ground; force (N): upward contact force
+        on the particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can
+        absorb far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether its centre is above
+        the target; work (J): energy dissipated so far."""
         if self.time > 0.0:  # mean over about `quiet` s
             share = -math.expm1((self.time - time) / self.quiet)
             self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
@@ -123,7 +123,7 @@ class EndCriterion(EndState):
 
     def undecided(self, time: float, sinking: float) -> str | None:
         """Reason why the impact ended at `time` s without meeting its criterion; None if the criterion is met. sinking (m/s):
-        downward speed of the centre of mass."""
+        speed of the centre of mass towards the ground."""
         if self.met(time):
             return None
         aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]

@@ -91,8 +91,8 @@ class Impact(Course):
 
     @property
     def sinking(self) -> float:
-        """Downward speed of the particle's centre of mass, m/s."""
-        return -float(self.particle.totals.momentum[2] / self.particle.mass.sum())
+        """Speed of the particle's centre of mass towards the ground, along its normal, m/s."""
+        return -float(self.particle.totals.momentum @ self.domains.normal / self.particle.mass.sum())
 
     @property
     def grip(self) -> Grip:

@@ -1,8 +1,11 @@
 """Measures of an impact: shape, strain, temperature, stress, velocity."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.arrays import Floats
 from ..fe.explicit import Target
 from ..geometry.extent import shape_measures
 from ..geometry.raycast import RaySurface
@@ -45,11 +48,11 @@ def crater_depth(surface: np.ndarray) -> float:
     return float(-(deepest[2] + (terms @ fit).min()))
 
 
-def plastic_zone(target: Target) -> tuple[float, float]:
+def plastic_zone(target: Target, heights: Callable[[Floats], Floats]) -> tuple[float, float]:
     """Radius and depth (m) of the part of the substrate that has a plastic strain of at least YIELDED; both are 0 if there is none.
 
-    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of the lowest centroid of a
-    yielded element below z = 0.
+    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of a centroid of a
+    yielded element below the undeformed ground above it. heights: of this ground (k,) m, at points (k,2) m.
     """
     mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]
@@ -57,13 +60,15 @@ def plastic_zone(target: Target) -> tuple[float, float]:
     corners = target.nodes.x[mesh.facets[top], :2]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
-    depth = -target.nodes.x[mesh.conn[yielded], 2].mean(axis=1).min() if yielded.any() else 0.0
-    return float(np.sqrt(area / np.pi)), max(float(depth), 0.0)
+    middle = target.nodes.x[mesh.conn[yielded]].mean(axis=1)
+    depth = float((heights(middle[:, :2]) - middle[:, 2]).max(initial=0.0))
+    return float(np.sqrt(area / np.pi)), depth
 
 
-def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]:
+def measure(domains: Domains, diameter: float, level: float, ground: Callable[[Floats], Floats]) -> dict[str, float]:
     """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): height from
-    which heights are measured. Means are weighted by mass; percentiles count points."""
+    which heights are measured; ground: heights of the undeformed ground, as in `plastic_zone`. Means are weighted by mass; percentiles
+    count points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = particle.law["rho"]
     matter = particle.mass * (rho[0] / rho[particle.law_of])  # with the density of the surface everywhere
@@ -87,6 +92,6 @@ def measure(domains: Domains, diameter: float, level: float) -> dict[str, float]
     m["target_eps_p_max"] = float(target.elements.plastic_strain.max())
     m["target_T_max_K"] = float(target.elements.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
-    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
+    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target, ground)
     m["velocity_z_m_s"] = float(particle.totals.momentum[2] / particle.mass.sum())
     return m

@@ -128,7 +128,8 @@ class Recorder:
         self.store.record({
             "time": self.before + impact.time, "impact": float(self.i + 1), "dt": dt, "step": float(particle.steps), **ledger,
             "height": top - self._flight(impact), "thickness": top - bottom, "crater_depth": self._crater(impact),
-            "velocity_z": -impact.sinking, "contact_force": float(impact.force[2]), "T_max": float(particle.points.T.max()),
+            "velocity_z": float(particle.totals.momentum[2] / particle.mass.sum()),
+            "contact_force": float(impact.force[2]), "T_max": float(particle.points.T.max()),
             "eps_p_mean": float(particle.points.eps_p.mean()), "stretch_min": particle.totals.stretch_min,
         })  # fmt: skip
         self._notice(impact, skin)
@@ -195,7 +196,7 @@ class Recorder:
     def measures(self, impact: Impact) -> dict[str, float]:
         """Present measures of the impact, SI units."""
         level = impact.domains.level + self._flight(impact)
-        m = measure(impact.domains, self.impact_plan.diameter, level)
+        m = measure(impact.domains, self.impact_plan.diameter, level, self.plan.target.heights)
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:

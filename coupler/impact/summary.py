@@ -51,7 +51,7 @@ def summarise(
     is_lost = several and ending.slid_off(impact.time)
     undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
-    mass, upwards = float(particle.mass.sum()), measured["velocity_z_m_s"]
+    mass, upwards = float(particle.mass.sum()), -impact.sinking
     ground, sunk = recorder.plan.target.materials[-1], None
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass

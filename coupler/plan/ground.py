@@ -61,7 +61,7 @@ def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tupl
         raise InputError(
             table.file,
             f"has no height {at * 1e6:.3g} um from its middle, the substrate has a radius of {diameter * 5e5:.3g} um:"
-            " give a larger unit, a larger map, or a smaller substrate.diameter",
+            " give a larger unit, a larger map without holes, or a smaller substrate.diameter",
         )
     shares = gaussian_filter(inside.astype(float), 1.0)  # of the places of the disc in each average
     z = gaussian_filter(np.where(inside, z - z[inside].mean(), 0.0), 1.0) / np.maximum(shares, 1e-3)

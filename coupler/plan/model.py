@@ -15,6 +15,14 @@ from ..scene.effects import Effects
 from ..scene.tables import Face
 from .batches import Batch, Landing, batches_of
 
+Vector = tuple[float, float, float]
+VERTICAL = (0.0, 0.0, 1.0)
+
+
+def towards(velocity: Vector, normal: Vector) -> float:
+    """Velocity (m/s) against the outward normal of a surface."""
+    return -sum(v * n for v, n in zip(velocity, normal, strict=True))
+
 
 @dataclass(frozen=True)
 class CorePlan:
@@ -35,13 +43,13 @@ class ImpactPlan(Landing):
     impact. end_at: "rest", "greatest" (deformation) or "time". formula: critical velocities of the metals of the particle and of the
     body that it hits. splat_elements: estimate, 0 if a rebound is expected. can_bond: whether the particle can bond to what it hits
     (`Adhesion.joins`). pores: pores of the particle, None if it is dense. core: the core inside a shell of `material`, None if the
-    particle has one material."""
+    particle has one material. normal: upward unit normal of the bare ground where the particle meets it (`TargetPlan.normal`)."""
 
     material: Material
     shape: str
     file: str
     tilt: float
-    velocity: tuple[float, float, float]
+    velocity: Vector
     temperature: float
     gap: float
     spacing: float
@@ -59,6 +67,7 @@ class ImpactPlan(Landing):
     can_bond: bool = True
     pores: Pores | None = None
     core: CorePlan | None = None
+    normal: Vector = VERTICAL
 
     @property
     def materials(self) -> tuple[Material, ...]:
@@ -83,8 +92,14 @@ class ImpactPlan(Landing):
 
     @property
     def towards(self) -> float:
-        """Velocity of the particle towards the flat surface, along its normal, m/s."""
-        return -self.velocity[2]
+        """Velocity of the particle towards the ground, along its normal, m/s."""
+        return towards(self.velocity, self.normal)
+
+    @property
+    def angle(self) -> float:
+        """Angle of the impact from the normal of the ground, rad."""
+        along = (v + self.towards * n for v, n in zip(self.velocity, self.normal, strict=True))
+        return math.atan2(math.hypot(*along), self.towards)
 
     @property
     def velocity_ratio(self) -> float | None:
@@ -138,6 +153,10 @@ class TargetPlan:
         """Heights (k,) m of the top face at points (k,2) m."""
         z = np.zeros(len(at)) if self.ground is None else self.ground.heights(at)
         return z if self.roughness is None else z + rough.heights(at, self.diameter, *self.roughness)
+
+    def normal(self, at: tuple[float, float], radius: float, velocity: Vector, gap: float) -> Vector:
+        """Upward unit normal of the top face where a sphere first touches it, as in `rough.normal_under`."""
+        return VERTICAL if self.is_flat else rough.normal_under(self.heights, at, radius, velocity, gap)
 
     def faces(self, condition: Face) -> tuple[str, ...]:
         """Names of the faces of the substrate that have this condition."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,14 +12,14 @@ from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, pair_formula
 from ..physics.materials import Material
 from ..scene.effects import Effects, requested
-from ..scene.tables import Particle
+from ..scene.tables import Face, Particle
 from . import cost as estimates
 from . import effects
 from .batches import batches_of
 from .effects import Situation
 from .gas import describe as describe_gas
 from .ground import ground_of
-from .model import ImpactPlan, Plan, SolidPlan, TargetPlan
+from .model import ImpactPlan, Plan, SolidPlan, TargetPlan, Vector, towards
 from .reading import Scene
 from .refinement import companions
 from .remarks import absorbing_distance, remarks
@@ -33,18 +34,19 @@ COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
     """Make the plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: chosen from the adhesion; error:
     whether coarser runs measure the error. Raises SceneError for an unknown material."""
-    impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
+    target = _target(scene)
+    normals = [_normal(scene, particle, target) for particle in scene.particles]
+    impacts = tuple(_impact(scene, i, normals) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.materials[0])
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
-    target = _target(scene, decided)
     adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
         impacts=impacts,
         batches=batches_of(impacts, decided.cooling),
-        target=target,
+        target=target if decided.absorbing_boundaries else _without_absorption(target),
         adhesion=adhesion,
         splat_method=scene.splat.method,
         splat_element_size=scene.derived.splat_element_size,
@@ -77,34 +79,43 @@ def _settled(scene: Scene) -> dict[str, bool]:
     return settled
 
 
-def _stays(scene: Scene, particle: Particle) -> bool:
+def _velocity(particle: Particle) -> Vector:
+    return particle.velocity * math.sin(particle.angle), 0.0, -particle.velocity * math.cos(particle.angle)
+
+
+def _normal(scene: Scene, particle: Particle, target: TargetPlan) -> Vector:
+    """Upward unit normal of the bare ground where a particle meets it."""
+    return target.normal(particle.offset, 0.5 * particle.diameter, _velocity(particle), scene.derived.gap_of(particle))
+
+
+def _stays(scene: Scene, particle: Particle, normal: Vector) -> bool:
     """Whether a particle is expected to stick as a splat. This is so, unless the criterion of adhesion is "velocity" and the formula
-    of the critical velocity (`pair_formula`) predicts a rebound."""
+    of the critical velocity (`pair_formula`) predicts a rebound. normal: of the ground."""
     law, metal = scene.derived.adhesion_law, scene.derived.material(particle.material)
     if law.kind == "none" or law.criterion != "velocity":
         return True
-    normal = particle.velocity * math.cos(particle.angle)
     formula = pair_formula(metal, None, particle.temperature, particle.diameter)
-    return formula.verdict(normal, law.limit) != REBOUNDS
+    return formula.verdict(towards(_velocity(particle), normal), law.limit) != REBOUNDS
 
 
-def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
+def _under(scene: Scene, i: int, normals: Sequence[Vector]) -> tuple[Material, float, bool]:
     """The body that impact i hits: the last splat under its centre, or the substrate. Returns its material, its temperature (K), and
     whether it is a splat."""
     at = scene.particles[i].offset
-    for earlier in reversed(scene.particles[:i]):
-        if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
+    for k in reversed(range(i)):
+        earlier = scene.particles[k]
+        if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier, normals[k]):
             return scene.derived.material(earlier.material), earlier.temperature, True
     return scene.derived.material(scene.substrate.materials[0]), scene.substrate.temperature, False
 
 
-def _impact(scene: Scene, i: int) -> ImpactPlan:
+def _impact(scene: Scene, i: int, normals: Sequence[Vector]) -> ImpactPlan:
     particle = scene.particles[i]
     D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
     end_at: Literal["rest", "greatest", "time"] = "rest" if scene.end.time is None else "time"
     if scene.end.at is not None:
         end_at = "rest" if scene.end.at == "cold" else scene.end.at
-    material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
+    material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i, normals)
     joins = scene.derived.adhesion_law.joins(material, base)
     load = estimates.loads((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
@@ -119,7 +130,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         file=particle.file or "",
         tilt=particle.tilt,
         diameter=D,
-        velocity=(v * math.sin(angle), 0.0, -v * math.cos(angle)),
+        velocity=_velocity(particle),
         temperature=particle.temperature,
         offset=particle.offset,
         gap=d.gap_of(particle),
@@ -136,11 +147,12 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         window=d.window_of(particle),
         formula=pair_formula(material, base, particle.temperature, D),
         lengths=particle.form.lengths,
-        splat_elements=d.splat_elements_of(particle) if _stays(scene, particle) else 0,
+        splat_elements=d.splat_elements_of(particle) if _stays(scene, particle, normals[i]) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
         pores=particle.pores(),
         core=d.core_of(particle),
         can_bond=joins or (on_splat and not material.is_ceramic),  # round a ceramic in a coating there is metal
+        normal=normals[i],
     )
 
 
@@ -160,18 +172,22 @@ def _spray(scene: Scene) -> str:
     )
 
 
-def _target(scene: Scene, decided: Effects) -> TargetPlan:
-    d, body, absorbing = scene.derived, scene.substrate, decided.absorbing_boundaries
-    # if no wave comes back in time, a simple face gives the same result at lower cost
-    sides = body.sides if absorbing or body.sides != "absorbing" else "free"
-    bottom = body.bottom if absorbing or body.bottom != "absorbing" else "fixed"
+def _target(scene: Scene) -> TargetPlan:
+    d, body = scene.derived, scene.substrate
     return TargetPlan(
-        d.material(body.material), body.diameter, body.height, body.temperature, sides, bottom, d.element_size,
+        d.material(body.material), body.diameter, body.height, body.temperature, body.sides, body.bottom, d.element_size,
         COARSEST * min(body.diameter, body.height), d.centre, d.spread, d.refined_radius, scene.resolution.growth, d.elements,
         (body.roughness, body.roughness_length, body.roughness_seed) if body.roughness else None,
         ground_of(body, d.element_size),
         tuple((d.material(layer.material), layer.thickness) for layer in body.layer),
     )  # fmt: skip
+
+
+def _without_absorption(target: TargetPlan) -> TargetPlan:
+    """The target with simple faces in place of absorbing ones: if no wave comes back in time, they give the same result at lower
+    cost."""
+    sides: Face = "free" if target.sides == "absorbing" else target.sides
+    return replace(target, sides=sides, bottom="fixed" if target.bottom == "absorbing" else target.bottom)
 
 
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:

@@ -121,10 +121,10 @@ def _impacts(plan: Plan, most: int) -> list[str]:
 
 
 def _particle(impact: ImpactPlan) -> str:
-    show, (vx, _, vz) = units.rounded, impact.velocity
+    show, speed = units.rounded, math.hypot(*impact.velocity)
     return (
         f"{impact.material.name} {_shape(impact)} {show(impact.diameter, 'um')},"
-        f" {show(math.hypot(vx, vz), 'm/s', 4)} at {show(math.atan2(vx, -vz), 'deg')} from the normal,"
+        f" {show(speed, 'm/s', 4)} at {show(impact.angle, 'deg')} from the normal,"
         f" {show(impact.temperature, 'K', 4)}"
     )
 

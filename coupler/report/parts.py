@@ -214,7 +214,8 @@ def definitions(lines: Iterable[tuple[str, str]]) -> str:
 
 def _particle(body: Values) -> str:
     speed, (x, y) = math.hypot(*body["velocity"]), (1e6 * each for each in body["offset"])
-    angle = math.degrees(math.acos(-body["velocity"][2] / speed))
+    towards = -math.fsum(v * n for v, n in zip(body["velocity"], body.get("normal", (0.0, 0.0, 1.0)), strict=True))
+    angle = math.degrees(math.acos(min(towards / speed, 1.0)))
     texts = [
         f"{1e6 * body['diameter']:.3g} µm {body['material']['name']} {body['shape'].replace('_', ' ')}",
         f"{speed:.4g} m/s at {angle:.3g}° from the surface normal",

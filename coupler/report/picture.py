@@ -58,19 +58,21 @@ class Range(NamedTuple):
 class Stage:
     """The plane and the reference values of all cross-sections of a run, from its first step. plane: y (m); level: height of the
     undeformed surface, um; diameter: diameter of the particle, um; void: if a place in the particle is farther than this from all
-    points, it counts as hollow, m."""
+    points, it counts as hollow, m. top: greatest height of the undeformed surface, um; ground: its lines in the plane, (k, 2) um."""
 
     plane: float
     level: float
     diameter: float
     void: float
+    top: float = 0.0
+    ground: tuple[NDArray, ...] = ()
 
 
 @dataclass(frozen=True)
 class Cut:
     """The cross-section at one time. Lengths in um, values in the units of `FIELDS`.
 
-    time: s; level: height of the undeformed surface; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
+    time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
     (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
     substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels over `extent`, the
     particle.
@@ -78,6 +80,7 @@ class Cut:
 
     time: float
     level: float
+    ground: tuple[NDArray, ...]
     view: View
     loops: list[NDArray]
     corners: NDArray
@@ -110,7 +113,15 @@ def stage(result: Result) -> Stage:
     start, volume = surface.points, abs(enclosed_volume(surface.points, surface.cells))
     plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
     void = VOID * (volume / max(len(particle.points), 1)) ** (1 / 3)
-    return Stage(plane, float(target.points[:, 2].max()) * MICRO, float(np.ptp(start[:, 0])) * MICRO, void)
+    top, low, high = float(target.points[:, 2].max()) * MICRO, start[:, 0].min() * MICRO, start[:, 0].max() * MICRO
+    loops = (
+        loop[[*range(len(loop)), 0]] * MICRO
+        for loop in section_loops(target.points, boundary_faces(target.cells)[0], plane)
+    )
+    ground = tuple(loops)
+    under = [line[(line[:, 0] >= low) & (line[:, 0] <= high), 1].max(initial=-np.inf) for line in ground]
+    level = max(under, default=-np.inf)
+    return Stage(plane, float(level) if np.isfinite(level) else top, float(high - low), void, top, ground)
 
 
 def _most_cut(plan: Values, first: float) -> float:
@@ -132,12 +143,12 @@ def view(result: Result, steps: Iterable[int], at: Stage) -> View:
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
         points = target.points * MICRO
-        raised = points[points[:, 2] > at.level + RAISED * D]
+        raised = points[points[:, 2] > at.top + RAISED * D]
         limit = float(max(raised[:, 2].max(initial=at.level), at.level) + FAR * D)
         is_away, skin = skin[:, 2].min() > limit - FAR * D, skin[skin[:, 2] < limit]
-        splats = points[target.cells[target.data["body"] > 0].ravel(), 2] if "body" in target.data else points[:0, 2]
-        places = np.concatenate([skin, raised, points[[int(np.argmax(points[:, 2]))]]])
-        deepest = min(skin[:, 2].min(initial=at.level), splats.min(initial=at.level))
+        splats = points[target.cells[_of_splats(target)].ravel()]
+        places = np.concatenate([skin, raised, splats, points[:1]])  # the first node is near the impact
+        deepest = min(skin[:, 2].min(initial=at.level), splats[:, 2].min(initial=at.level))
         highest = [*places[:, :2].max(0), limit if is_away else places[:, 2].max()]
         ends.append((places.min(0), highest, deepest))
     low, high = np.min([least for least, _, _ in ends], axis=0), np.max([most for _, most, _ in ends], axis=0)
@@ -169,20 +180,27 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
     rim, is_substrate = surfaces_cut(target, at)
     nothing = {name: np.zeros((0, 0)) for name in names}
-    return Cut(target.time, at.level, seen, [], corners, rim, is_substrate, (0.0, 1.0, 0.0, 1.0), values, nothing)
+    return Cut(
+        target.time, at.level, at.ground, seen, [], corners, rim, is_substrate, (0.0, 1.0, 0.0, 1.0), values, nothing
+    )
 
 
 def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
     """Lines (r, 2, 2), um, where the plane crosses the surfaces of substrate and splats. Returns also the mask (r,) of the lines of
     the substrate, which is all False if there are no splats."""
     skin, owner = boundary_faces(target.cells)
-    body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
+    splat = _of_splats(target)[owner]
     parts = [
         crossing(target.points, section_of_triangles(target.points, skin[which], at.plane), at.plane)[0] * MICRO
-        for which in (body == 0, body > 0)
+        for which in (~splat, splat)
     ]
     is_substrate = np.repeat([len(parts[1]) > 0, False], [len(part) for part in parts])
     return np.concatenate(parts), is_substrate
+
+
+def _of_splats(target: Fields) -> NDArray[np.bool_]:
+    """Mask of the tetrahedra of splats."""
+    return np.asarray(target.data["impact"] > 0) if "impact" in target.data else np.zeros(len(target.cells), bool)
 
 
 def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
@@ -286,7 +304,8 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
         if (lowest := min(float(loop[:, 1].min()) for loop in section.loops)) > top:
             words = f"particle {lowest - section.level:.0f} µm above the surface"
             axis.text(0.5 * (left + right), top, words, ha="center", va="top", fontsize=10)
-    axis.plot([left, right], [section.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
+    for line in section.ground:
+        axis.plot(*line.T, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axis.set_axis_off()
 

@@ -9,7 +9,19 @@ from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSch
 
 from .. import units
 from ..physics import shapes as morphology
-from .tables import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Core, Quantity, Section, check_pores
+from .tables import (
+    DIAMETER,
+    DWELL,
+    KELVIN,
+    PORE_DIAMETER,
+    POROSITY,
+    VELOCITY,
+    BySize,
+    Core,
+    Quantity,
+    Section,
+    check_pores,
+)
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:
@@ -153,7 +165,7 @@ class Coating(PowderTable):
                 "needs two tables [[coating.powder]] or more; for a single powder write its keys in [coating] instead"
             )
         if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
-            raise ValueError(f"needs shares of its powders that add up to 1: these add up to {whole:.4g}")
+            raise ValueError(f"needs values of powder.share that add up to 1: these add up to {whole:.4g}")
         if self.number % self.layers:
             raise ValueError(
                 f"needs layers that divide number = {self.number}, because all layers have the same number of particles"

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from .. import units
 from .model import SceneData
-from .tables import read_table
+from .tables import GunPath, Track, read_table
 
 # of required fields; those of particle and substrate replace faulty ones while other fields are checked
 _EXAMPLES: dict[str, dict[str, object]] = {
@@ -74,6 +74,11 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
     model = _model_at(loc[:-1], whole)
     if kind == "extra_forbidden":
+        if model is Track and loc[-1] in GunPath.model_fields:
+            return (
+                f"{field}: the particles of a job fall normal to the surface, at the mean rate of the spot: leave it out, or give the"
+                " path of the gun to a scene with [coating], or to coldspray track"
+            )
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{field}: unknown key{units.nearest(str(loc[-1]), known)}; known: {', '.join(known)}"
     if "offset" in loc and kind != "value_error":
@@ -100,6 +105,8 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
         return f"{start}: use letters, digits, '_', '.', '-', spaces (at most 64, a letter or digit first)"
     if kind in ("float_type", "finite_number", "greater_than_equal", "less_than_equal") and field == "contact.friction":
         return f"{start}: expected a number without unit, from 0 to 2"
+    if kind == "tuple_type" and _model_at(loc, whole) is not whole:
+        return f"{start}: expected tables [[{field}]]"
     if kind in _EXPECTED:
         return f"{start}: expected {_EXPECTED[kind]}"
     return f"{start}: {entry['msg'][0].lower()}{entry['msg'][1:]}"

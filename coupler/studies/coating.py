@@ -74,7 +74,8 @@ def read(result: Result, before: int | None = None) -> Splats:
     undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, metal, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records), cores)  # fmt: skip
+                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records), cores,
+                  plan.target.heights)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,10 +99,11 @@ class CoatingMeasures:
     """Measures of a coating in SI units. The names are the keys of coating.json.
 
     impacts, of: numbers of finished and of planned impacts. undecided: number of undecided particles, which count as stayed in
-    deposition_efficiency and as lost in least_efficiency. thickness: height of the coating above the original surface of the
-    substrate, z = 0; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with
-    craters, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the volume of the
-    coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing elsewhere.
+    deposition_efficiency and as lost in least_efficiency. thickness: vertical height of the coating above the original surface
+    of the substrate; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with craters
+    above the original one, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the
+    volume of the coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing
+    elsewhere.
     void_limit_m: voids of a lower height are not resolved. stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating
     in the disc, with its standard error (`in_plane`); in a cold coating it is the residual stress. thermal_in_plane_Pa: the part of
     this stress that changes of temperature cause. layers, depth, phases: rows of `per_layer`, `over_depth` and `phases`. seeds:
@@ -169,14 +171,17 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
     vertical columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
     top = columns.highest(columns.matter)
+    at = np.column_stack([columns.x, columns.y])
+    ground = splats.ground(at)
     is_bare = columns.highest(columns.substrate) > top - step
-    thickness = np.where(is_bare, 0.0, np.maximum(top, 0.0))
-    Sa, Sq = roughness(top)
+    thickness = np.where(is_bare, 0.0, np.maximum(top - ground, 0.0))
+    plane = np.column_stack([np.ones(len(at)), at])
+    Sa, Sq = roughness(top - plane @ np.linalg.lstsq(plane, ground, rcond=None)[0])
     opened, closed = columns.voids(FINEST * splats.element_size)
     volume = max(float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum()), 1.0)
     return {
         "thickness_mean_m": float(thickness.mean()), "thickness_min_m": float(thickness.min()),
-        "thickness_max_m": float(thickness.max()), "height_mean_m": float(top.mean()), "bare_share": float(is_bare.mean()),
+        "thickness_max_m": float(thickness.max()), "height_mean_m": float((top - ground).mean()), "bare_share": float(is_bare.mean()),
         "Sa_m": Sa, "Sq_m": Sq, "porosity_open": float(opened.sum()) / volume, "porosity_closed": float(closed.sum()) / volume,
         "overlap_share": float(columns.double.sum()) / volume,
     }  # fmt: skip
@@ -283,7 +288,7 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
         own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
         if not own.any():
             continue
-        count = int(np.sum(np.unique(splats.body[own]) > 0))
+        count = int(np.count_nonzero(splats.impact[np.unique(splats.body[own])]))
         row: dict[str, float] = {"layer": number, "splats": count, "volume_m3": float(volume[own].sum())}
         for name in ("eps_p", "T", "von_mises"):
             value = data[name][own].astype(float)
@@ -300,15 +305,19 @@ def _percentiles(values: NDArray, weights: NDArray, shares: ArrayLike) -> NDArra
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
-    """Volume means of stress (Pa), strain and temperature in horizontal slices of the disc, `step` m high, from the top down.
+    """Volume means of stress (Pa), strain and temperature in slices of the disc, `step` m high, at one height above the original
+    surface, from the top down.
 
-    sigma_xx, sigma_yy are in the plane of the surface, sigma_zz is normal to it; tension is positive. thermal_xx etc., for a cold
+    sigma_xx, sigma_yy are in the plane of a flat surface, sigma_zz is normal to it; tension is positive. thermal_xx etc., for a cold
     coating: the part that changes of temperature cause; the impacts cause the rest. sigma_p5, sigma_p95: quantiles of (xx + yy) / 2.
     coating: volume share of splats in the slice.
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
-    z, volume = middle[own, 2], np.abs(volumes(splats.mesh.points, splats.mesh.cells[own]))
+    z, volume = (
+        middle[own, 2] - splats.ground(middle[own, :2]),
+        np.abs(volumes(splats.mesh.points, splats.mesh.cells[own])),
+    )
     tensors = {"sigma": splats.mesh.data["stress"], "thermal": splats.mesh.data.get("thermal_stress")}
     columns = {
         f"{name}_{axis}": tensor[own, i].astype(float)

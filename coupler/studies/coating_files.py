@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import meshio
@@ -55,13 +55,16 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Returns the path. Colours of a cold coating:
     strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Raises
     StoreError if no step is stored."""
+    x = np.linspace(-radius, radius, 400)
+    places = np.column_stack([x, np.full(len(x), plane)])
+    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=(np.column_stack([x, splats.ground(places)]) * MICRO,))
     if len(result.times(COLD)):
-        save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(splats, radius)), heading), path)
+        save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
         return path
     read(result, -1, _DRAWN)
     surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
-    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, radius * MICRO, 1.6 * spacing), _seen(splats, radius))
+    section_cut = cut(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
     save(panels(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN}, heading), path)
     return path
 
@@ -77,7 +80,7 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
 
 
 def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
-    """(impact, points, triangles) of the surface of each body, the substrate first."""
+    """(impact, points, triangles) of the surface of each body, the substrate and its layers first."""
     cells = [splats.mesh.cells[splats.body == b] for b in range(len(splats.impact))]
     skins = [(int(n), splats.mesh.points, boundary_faces(own)[0]) for n, own in zip(splats.impact, cells, strict=True)]
     return [*skins, *([(len(splats.mass), *splats.last)] if splats.last is not None else [])]
@@ -96,15 +99,13 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     metal = np.zeros(len(places), bool)
     names = list(dict.fromkeys([*splats.metal, *splats.cores.values()]))
     for number, (came, points, faces) in enumerate(_skins(splats)):
-        tone = 0.45 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
+        tone = 0.45 + 0.08 * (number % 2) if came == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours differ
         name = splats.cores.get(number) or splats.metal[came - 1]
-        colour = np.full(3, tone) if number == 0 else tone * _PHASES[names.index(name) % len(_PHASES)]
+        colour = np.full(3, tone) if came == 0 else tone * _PHASES[names.index(name) % len(_PHASES)]
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
             outline = Outline.make_compound_path(*(Outline(loop, closed=True) for loop in loops))
-            axis.add_patch(
-                PathPatch(outline, facecolor=tuple(colour), edgecolor="0.1", linewidth=0.8 if number else 2.0)
-            )
+            axis.add_patch(PathPatch(outline, facecolor=tuple(colour), edgecolor="0.1", linewidth=0.8 if came else 2.0))
             metal |= outline.contains_points(places)
     empty, _ = ndimage.label(~metal.reshape(len(z), len(x)))
     sky = (empty > 0) & np.isin(empty, empty[-1])
@@ -164,7 +165,7 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
         for old in inner.glob("splat_*.stl"):
             old.unlink()
         meshio.Mesh(splats.mesh.points, [("tetra", cells)], cell_data=data).write(paths[0])
-        skins = _skins(splats)[1:]
+        skins = [skin for skin in _skins(splats) if skin[0] > 0]
         several = {number for number, _, _ in skins if sum(other == number for other, _, _ in skins) > 1}
         for k, (number, points, faces) in enumerate(skins):
             part = f"_{k}" if number in several else ""

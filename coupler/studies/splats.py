@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,11 @@ from ..files.fields import Fields
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import area_vectors
+
+
+def flat(at: NDArray) -> NDArray:
+    """Heights (k,) m of a flat surface at points (k,2) m."""
+    return np.zeros(len(at))
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class Splats:
     radius of the disc on which centres of particles fall, m; element_size (m): element size of the splats; undecided: indices of
     impacts without a verdict, which count as stayed; verdicts: verdicts of the finished impacts, empty while the run continues;
     cores: name of the material of each body that is the core of a particle, by its number.
+    ground: heights (k,) m of the bare surface at points (k,2) m.
     """
 
     mesh: Fields
@@ -42,6 +49,7 @@ class Splats:
     undecided: tuple[int, ...] = ()
     verdicts: tuple[str, ...] = ()
     cores: dict[int, str] = field(default_factory=dict)
+    ground: Callable[[NDArray], NDArray] = flat
 
     @property
     def deposition_efficiency(self) -> float:
@@ -72,10 +80,10 @@ class Columns:
         faces, behind = boundary_faces(splats.mesh.cells)  # bodies share no nodes
         body = splats.body[behind]
         of_each = np.split(faces[np.argsort(body, kind="stable")], np.cumsum(np.bincount(body))[:-1])
-        skins = [(splats.mesh.points, own, b > 0) for b, own in enumerate(of_each)]
+        skins = [(splats.mesh.points, own, came > 0) for came, own in zip(splats.impact.tolist(), of_each, strict=True)]
         if splats.last is not None:
             skins.append((*splats.last, True))
-        points, faces, _ = skins[0]
+        points, faces, _ = skins[int(np.count_nonzero(splats.impact == 0)) - 1]  # the uppermost of the substrate
         corners, upward = points[faces], area_vectors(points, faces)[:, 2] > 0.0
         near = np.hypot(corners[..., 0] - centre[0], corners[..., 1] - centre[1]).min(axis=1) <= radius
         deepest = [float(corners[upward & near, :, 2].min(initial=0.0))]
@@ -141,6 +149,7 @@ class Columns:
 
 def roughness(z: NDArray) -> tuple[float, float]:
     """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean height.
-    The reference plane is parallel to the substrate. A plane fitted to a disc with few splats would remove their largest steps."""
+    The heights are from a plane parallel to the substrate. A plane fitted to a disc with few splats would remove their largest
+    steps."""
     away = z - z.mean()
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))

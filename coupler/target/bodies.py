@@ -88,9 +88,9 @@ class Bodies:
 
     @property
     def is_flat(self) -> bool:
-        """Whether there is only a substrate, and its undeformed surface is flat."""
+        """Whether there is only a substrate, which nothing has hit, and its surface is flat."""
         mesh = self.target.mesh
-        return self.count == 1 and not np.ptp(mesh.points[mesh.facets[mesh.sets["top"]], 2])
+        return self.count == 1 and self.target.time == 0.0 and not np.ptp(mesh.points[mesh.facets[mesh.sets["top"]], 2])
 
     def reachable(self) -> np.ndarray:
         """Numbers of the facets that a particle can hit: top and sides of the substrate and surfaces of splats, without buried facets.

@@ -1,5 +1,6 @@
 """Rough ground: mean, Sa and correlation of the heights, and the mesh below."""
 
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -8,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from coupler import Scene
+from coupler import Scene, run
 from coupler.errors import SceneError
 from coupler.fe.mesh import prepare
 from coupler.geometry.mesher import cylinder
-from coupler.geometry.rough import Ground, heights
+from coupler.geometry.rough import Ground, heights, normal_under
 from coupler.plan.planning import plan
 
 D, SA, LENGTH = 400e-6, 3e-6, 20e-6
@@ -117,6 +118,7 @@ def test_ground_that_meshes_do_not_bear_is_refused_by_its_key(before: str, after
         ('groove = { width = "100 um", depth = "40 um" }', "at most 0.4 of substrate.height"),
         ('groove = { width = "100 um" }', "substrate.groove.depth: missing"),
         ('groove = "deep"', "expected a table [substrate.groove]"),
+        ('layer = "Al"', 'substrate.layer = "Al": expected tables [[substrate.layer]]'),
         ('step = { height = "10 um", angle = "65 deg" }\nslope = { angle = "15 deg" }', "substrate.step with substrate.slope"),
         ('slope = { angle = "30 deg" }', "substrate.slope: the surface reaches from"),
         ('height_map = { file = "none.csv" }', "none.csv is missing"),
@@ -174,3 +176,44 @@ def test_a_map_is_the_same_surface_from_every_kind_of_file(tmp_path: Path) -> No
         assert ground is not None
         assert np.abs(ground.heights(places) * 1e6 - written).max() < 0.1, name
         assert Scene.from_text(scene.to_toml(), str(tmp_path / "scene.toml")) == scene
+
+
+def test_the_normal_is_that_of_the_place_which_a_sphere_touches() -> None:
+    """On a plane its angle; in a V of 90 degrees that of the flank towards which the sphere flies; a sphere wider than a groove touches
+    its edges, where the slope is the mean of both sides."""
+    tilt, v = math.tan(0.35), (0.0, 0.0, -500.0)
+    plane = Ground(((0.0, ((-1e-4, -1e-4 * tilt), (1e-4, 1e-4 * tilt))),)).heights
+    n = normal_under(plane, (3e-6, -8e-6), 10e-6, v, 1e-6)
+    np.testing.assert_allclose(n, (-math.sin(0.35), 0.0, math.cos(0.35)), atol=1e-12)
+    vee = Ground(((0.0, ((-20e-6, 0.0), (0.0, -20e-6), (20e-6, 0.0))),)).heights
+    for side in (-1.0, 1.0):
+        n = normal_under(vee, (0.0, 0.0), 5e-6, (side * 100.0, 0.0, -500.0), 1e-6)
+        np.testing.assert_allclose(n, (-side * math.sqrt(0.5), 0.0, math.sqrt(0.5)), atol=1e-12)
+    narrow = Ground(((0.0, ((-3e-6, 0.0), (0.0, -3e-6), (3e-6, 0.0))),)).heights
+    n = normal_under(narrow, (0.0, 0.0), 15e-6, v, 1e-6)
+    assert abs(n[0]) == pytest.approx(math.sin(math.atan(0.5)), abs=0.05)
+
+
+def test_velocities_are_normal_to_a_slope() -> None:
+    """A vertical impact on a slope of 30 degrees has cos 30 of its velocity along the normal, and a gun at 30 degrees from the
+    vertical, which faces the slope, all of it."""
+    text = GROUND.replace(
+        'roughness = "3 um"\nroughness_length = "20 um"', 'diameter = "80 um"\nslope = { angle = "30 deg" }'
+    )
+    vertical = plan(Scene.from_text(text)).impact
+    assert vertical.towards == pytest.approx(500.0 * math.cos(math.radians(30.0)), rel=1e-9)
+    assert math.degrees(vertical.angle) == pytest.approx(30.0)
+    facing = plan(Scene.from_text(text).with_(particle={"angle": "30 deg"})).impact
+    assert facing.towards == pytest.approx(500.0, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_particle_that_leaves_a_steep_slope_has_a_verdict(tmp_path: Path) -> None:
+    """It leaves along the normal while its centre still sinks."""
+    text = GROUND.replace(
+        'roughness = "3 um"\nroughness_length = "20 um"', 'diameter = "60 um"\nslope = { angle = "45 deg" }'
+    )
+    scene = Scene.from_text(text.replace('"20 um"', '"15 um"')).with_(adhesion={"kind": "none"})
+    result = run(scene, tmp_path / "run", quiet=True, error=False)
+    assert result.verdict == "rebounds"
+    assert result.velocity_z_m_s < 0.0 < result.rebound_velocity_m_s

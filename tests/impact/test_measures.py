@@ -11,6 +11,7 @@ from coupler.fe import mesh as meshes
 from coupler.geometry import mesher
 from coupler.impact.measure import YIELDED, crater_depth, plastic_zone
 from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure, within_range
+from coupler.studies.splats import flat
 
 
 def test_a_round_contact_has_its_area_and_the_mean_pressure(rng: np.random.Generator) -> None:
@@ -41,11 +42,13 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
         SimpleNamespace(eps_p=np.where(inside, 2 * YIELDED, 0.5 * YIELDED)),
     )
     target = SimpleNamespace(mesh=mesh, nodes=nodes, elements=elements)
-    found = plastic_zone(target)
+    found = plastic_zone(target, flat)
     assert found[0] == pytest.approx(radius, rel=0.05)
     assert found[1] == pytest.approx(depth, abs=1e-6)
+    in_groove = plastic_zone(target, lambda at: np.full(len(at), -4e-6))
+    assert found[1] - in_groove[1] == pytest.approx(4e-6, rel=1e-12)
     elements.eps_p[:] = 0.0
-    assert plastic_zone(target) == (0.0, 0.0)
+    assert plastic_zone(target, flat) == (0.0, 0.0)
 
 
 def test_what_flattening_may_be() -> None:

@@ -32,6 +32,7 @@ def job_of(folder: Path, text: str = TEXT) -> Job:
         ('"50 bar"', '"50 um"', 'gas.pressure = "50 um" is a length'),
         ('"D42PBI"', '"D42"', 'gas.nozzle = "D42"'),
         ('spot = "6 mm"', 'efficiency = 0.5', "spray.efficiency: unknown key"),
+        ('spot = "6 mm"', 'spot = "6 mm"\nangle = "20 deg"', "spray.angle: the particles of a job fall normal to the surface"),
         ('"30 min"', "30", "within = 30 needs a time with its unit"),
         ("[powder]", "[[powder]]", "a job has one powder: write a blend as a scene with [[coating.powder]]"),
         ("[powder]", "[coating]\nnumber = 9\n[powder]", "coating: unknown key; known: within, powder,"),

@@ -90,7 +90,7 @@ def test_a_blend_that_is_written_out_is_the_same_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "says"),
     [
-        ("share = 0.3", "share = 0.4", "coating needs shares of its powders that add up to 1: these add up to 1.1"),
+        ("share = 0.3", "share = 0.4", "coating needs values of powder.share that add up to 1: these add up to 1.1"),
         ('"15-25 um"', '"25-15 um"', 'coating.powder[1].sizes = "25-15 um" needs the smaller sieve size first'),
         ('"15-25 um"', '"no.csv"', "coating.powder[1].sizes: the file is missing"),
         ('"Al1100"', '"Unobtainium"', 'coating.powder[2].material = "Unobtainium": unknown material'),
