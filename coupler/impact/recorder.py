@@ -212,7 +212,8 @@ class Recorder:
         """
         x = impact.target.nodes.x[impact.surface_nodes]
         lowered = self.seen.met - x[:, 2]
-        inner = lowered > (0.5 * lowered.max(initial=0.0) if impact.bodies.count > 1 else -np.inf)
-        if impact.bodies.count > 1 and inner.sum() < FITTED:
+        on_splats = bool(impact.bodies.impact.any())
+        inner = lowered > (0.5 * lowered.max(initial=0.0) if on_splats else -np.inf)
+        if on_splats and inner.sum() < FITTED:
             return float(lowered.max(initial=0.0))
         return crater_depth(np.column_stack([x[inner, :2], -lowered[inner]]))
