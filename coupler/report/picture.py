@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.transforms import Bbox
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
@@ -304,8 +305,11 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
         if (lowest := min(float(loop[:, 1].min()) for loop in section.loops)) > top:
             words = f"particle {lowest - section.level:.0f} µm above the surface"
             axis.text(0.5 * (left + right), top, words, ha="center", va="top", fontsize=10)
+    beside = 0.02 * (right - left)  # the ends of the polygons are just outside of the picture
+    box = Bbox([[left - beside, bottom - beside], [right + beside, top + beside]])
     for line in section.ground:
-        axis.plot(*line.T, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
+        within = Outline(line, closed=True).clip_to_bbox(box)
+        axis.add_patch(PathPatch(within, fill=False, edgecolor="0.3", linewidth=0.9, linestyle=(0, (6, 4)), zorder=6))
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axis.set_axis_off()
 
