@@ -15,7 +15,19 @@ from ..core.threads import share, together
 from ..errors import SolverError
 from . import broad, closest
 from . import kernels as k
-from .model import ANY, HISTORY, Candidates, Nodes, Points, Projections, Pushes, faces_of, motion, new_history
+from .model import (
+    ANY,
+    HISTORY,
+    Candidates,
+    Constants,
+    Nodes,
+    Points,
+    Projections,
+    Pushes,
+    faces_of,
+    motion,
+    new_history,
+)
 
 LEAST_POINTS = 4000  # in a range of a shared loop
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
@@ -74,7 +86,7 @@ class Contact(ContactState):
         each body, the facets that its points can ever touch (default: all); skin: spacings added to the search distance: the search
         stays valid while surfaces move this far."""
         n, bodies = len(owner), len(spacing)
-        self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
+        self.constants, self._skin = Constants(friction, share, jump), skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
         self.faces = faces_of(facets, body)
         node = np.full(n, -1) if node is None else node
@@ -86,7 +98,7 @@ class Contact(ContactState):
         super().__init__(new_history(n), np.zeros(n), np.zeros(len(facets)))
         #: Points that can touch before the next search, ascending: only these are projected and get forces.
         self.rows: Ints = np.zeros(0, np.int64)
-        self._pushes = Pushes(*(np.zeros((0, *shape)) for shape in ((2, 3), (3, 3), (2,))))
+        self._list_pushes()
         self._candidates = Candidates(np.zeros(n + 1, np.int64), np.zeros(0, np.int64))
         self._projections = Projections(
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
@@ -247,14 +259,19 @@ class Contact(ContactState):
         state[rows] = k.AWAY
         state[still] = state[kept] = k.KEPT
         for _ in range(2):  # with fewer candidates more points are at rest
-            limit = k.deepest(kept, history, p, self.jump)
+            limit = k.deepest(kept, history, p, self.constants.jump)
             self._set_candidates(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, proj))
             kept, still = self._moving(kept, active)
             if len(still) == 0:
                 break
         together(k.end_search, state, history)
         self.rows = np.union1d(self.rows[~due[self.rows]], kept)
-        self._pushes = Pushes(*(np.zeros((len(self.rows), *old.shape[1:])) for old in self._pushes))
+        self._list_pushes()
+
+    def _list_pushes(self) -> None:
+        """Make the arrays of the forces of the points `rows`."""
+        force, couple, heat = (np.zeros((len(self.rows), *shape)) for shape in ((2, 3), (3, 3), (2,)))
+        self._pushes = Pushes(self.rows, force, couple, heat, self.heat_point, self.heat_face)
 
     def _pairs(self, near: Ints, ids: Ints, low: Floats, high: Floats) -> tuple[Ints, Ints]:
         """Candidates (start, face) of all points: for the points `near`, the faces ids (k,) of other bodies whose boxes low, high
@@ -285,7 +302,7 @@ class Contact(ContactState):
         """Project each of the points `rows` on the faces. Points that lie too deep lose their contact."""
         lost = np.zeros((PARTS, 2))
         together(
-            k.project, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion,
+            k.project, rows, self.constants.jump, self.points, nodes, self._candidates, self.faces, self._motion,
             self._projections, self.history, lost,
         )  # fmt: skip
         self._lose(lost)
@@ -297,8 +314,8 @@ class Contact(ContactState):
         friction for a step of dt s. Of the points, only `rows` are read and written."""
         sums = np.zeros((PARTS, 3))
         together(
-            k.contact_forces, self.rows, dt, self.friction, self.share, self.jump, self.points, nodes, self._candidates, self.faces,
-            self._motion, self._projections, self.history, self.heat_point, self.heat_face, self._pushes, sums,
+            k.contact_forces, dt, self.constants, self.points, nodes, self._candidates, self.faces, self._motion,
+            self._projections, self.history, self._pushes, sums,
         )  # fmt: skip
         self._lose(sums)
         self.sums.friction_heat += float(sums[0, 2])

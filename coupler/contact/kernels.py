@@ -11,7 +11,7 @@ from ..core.loops import ranges
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from .closest import closest_faces
 from .law import TANGENTIAL, friction_force, normal_force, stored
-from .model import ALL, ANY, UNKNOWN, Candidates, Motion, Nodes, Points, Projections, Pushes
+from .model import ALL, ANY, UNKNOWN, Candidates, Constants, Motion, Nodes, Points, Projections, Pushes
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
 LEAST_SEARCHED = 2000  # points in such a range of a search
@@ -292,10 +292,19 @@ def _friction(
 
 @njit(cache=True, nogil=True)
 def _push(
-    i: int, dt: float, mu: float, share: float, points: Points, nodes: Nodes, faces: Faces, proj: Projections, h: History, heat_point:
-    Floats, force: Floats, couple: Floats, heat: Floats,
-) -> None:  # fmt: skip
-    """Write the force (2,3) N, the couple (3,3) N and the heat (2,) J of point i, with the history h (`model.Pushes`)."""
+    q: int,
+    dt: float,
+    c: Constants,
+    points: Points,
+    nodes: Nodes,
+    faces: Faces,
+    proj: Projections,
+    h: History,
+    p: Pushes,
+) -> None:
+    """Write the force, the couple and the heat of row q, whose point has the history h."""
+    i, mu, share = p.rows[q], c.friction, c.share
+    force, couple, heat, heat_point = p.force[q], p.couple[q], p.heat[q], p.heat_point
     force[:], couple[:], heat[:] = 0.0, 0.0, 0.0
     k = points.stiffness[i]
     for body in range(2):
@@ -329,42 +338,28 @@ def _push(
 
 @njit(cache=True, nogil=True)
 def contact_forces(
-    team: Ints, rows: Ints, dt: float, mu: float, share: float, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces,
-    motion: Motion, proj: Projections, history: Histories, heat_point: Floats, heat_face: Floats, pushes: Pushes, sums: Floats,
+    team: Ints, dt: float, constants: Constants, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion,
+    proj: Projections, history: Histories, pushes: Pushes, sums: Floats,
 ) -> None:  # fmt: skip
-    """`project` the points `rows`, compute the forces between them and their closest faces, and add them to points.f and nodes.f, in
-    all threads. sums (PARTS,3): as `lost` of `project`, and in the first row the heat of friction, J.
+    """`project` the points pushes.rows, compute the forces between them and their closest faces, and add them to points.f and nodes.f,
+    in all threads. sums (PARTS,3): as `lost` of `project`, and in the first row the heat of friction, J.
 
     Forces are opposite and equal, and their moments cancel. The penetration is minus the signed gap, less the ignored depth. The
     normal force acts along the line to the closest point (`_normal`). Friction acts only with the body in which the point lies
-    deepest. heat_point (n,) and heat_face (k,) J grow by the heat of friction, heat_point by `share` of it. Springs between nodes
-    that do not move do not change.
+    deepest. pushes.heat_point and pushes.heat_face grow by the heat of friction. Springs between nodes that do not move do not
+    change.
     """
-    project(team, rows, jump, points, nodes, c, faces, motion, proj, history, sums)
+    rows = pushes.rows
+    project(team, rows, constants.jump, points, nodes, c, faces, motion, proj, history, sums)
     for lo, hi, _ in ranges(team, 2, len(rows), LEAST_ROWS):
         for q in range(lo, hi):
-            i = rows[q]
-            _push(
-                i,
-                dt,
-                mu,
-                share,
-                points,
-                nodes,
-                faces,
-                proj,
-                history[i],
-                heat_point,
-                pushes.force[q],
-                pushes.couple[q],
-                pushes.heat[q],
-            )
+            _push(q, dt, constants, points, nodes, faces, proj, history[rows[q]], pushes)
     for _ in ranges(team, 3, 1, 1):  # one thread: several points act on a node
         for q in range(len(rows)):
             i, f, m = rows[q], pushes.force[q], pushes.couple[q]
             sums[0, 2] += pushes.heat[q, 0]
             if pushes.heat[q, 1] != 0.0:
-                heat_face[proj.face[i, 0]] += pushes.heat[q, 1]
+                pushes.heat_face[proj.face[i, 0]] += pushes.heat[q, 1]
             for body in range(2):
                 if f[body, 0] == 0.0 and f[body, 1] == 0.0 and f[body, 2] == 0.0:
                     continue

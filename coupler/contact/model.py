@@ -77,14 +77,26 @@ class Projections(NamedTuple):
     clearance: Floats
 
 
-class Pushes(NamedTuple):
-    """Forces of k points in a step, before they are added up. force (k,2,3) N: on the point, from each of its two bodies; couple
-    (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a point,
-    and the part of it that goes to the face."""
+class Constants(NamedTuple):
+    """Constants of a contact. friction: coefficient of friction; share: share of the heat of friction that goes to the points; jump:
+    largest inward motion of a point in one step, in spacings."""
 
+    friction: float
+    share: float
+    jump: float
+
+
+class Pushes(NamedTuple):
+    """Forces of the points `rows` (k,) in a step, before they are added up. force (k,2,3) N: on the point, from each of its two bodies;
+    couple (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a
+    point, and the part of it that goes to the face. heat_point (n,), heat_face (f,) J: sums for all points and faces."""
+
+    rows: Ints
     force: Floats
     couple: Floats
     heat: Floats
+    heat_point: Floats
+    heat_face: Floats
 
 
 class Motion(NamedTuple):

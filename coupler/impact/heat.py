@@ -56,8 +56,8 @@ class HeatPaths:
         if self.folding is not None and (heat := self.folding.heat()).any():
             self.particle.warm(heat)
         if bonds is not None and (heat := bonds.bond.heat()).any():
-            self._warm_surface(bonds.bond.nodes, contact.share * heat)
-            target.warm_around(bonds.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
+            self._warm_surface(bonds.bond.nodes, contact.constants.share * heat)
+            target.warm_around(bonds.bond.triangles, np.repeat((1.0 - contact.constants.share) / 3.0 * heat, 3))
 
     def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
         """Add heat (k,) J at rows (k,) of the particle's surface to its points."""

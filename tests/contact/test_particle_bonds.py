@@ -248,7 +248,7 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
             return heat
 
     points, T = Points(), t.elements.T.copy()
-    no_friction = SimpleNamespace(share=share, heat_point=np.zeros(0), heat_face=np.zeros(0))
+    no_friction = SimpleNamespace(constants=SimpleNamespace(share=share), heat_point=np.zeros(0), heat_face=np.zeros(0))
     HeatPaths(points, t, points, no_friction).release(bonds)
     law = t.laws[t.law_of]
     gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.elements.T - T)))

@@ -326,7 +326,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
             advance_chunk(impact)
         assert set(called) == (set() if effects_of == "none" else {"share", "crossing", "advance", "warm"})
         on = effects_of == "all"
-        assert (domains.target.conduction is not None) == (domains.contact.friction > 0) == on
+        assert (domains.target.conduction is not None) == (domains.contact.constants.friction > 0) == on
         assert bool(len(domains.target.dashpot_nodes)) == on
         assert (domains.contact.sums.friction_heat > 0.0) == on
         assert domains.target.active_elements < 0.95 * len(
