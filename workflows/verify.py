@@ -33,6 +33,9 @@ HEAT = 0.10  # rise of c_p T, over plastic work and friction, against the share 
 STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts from: the fields are single precision
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
+AVERAGED_VOLUME = (
+    0.05  # of the sum of all changes: volume follows pressure nonlinearly, and an element has the mean of its corners
+)
 SKIN = 0.20  # volume inside the particle's surface, which is carried between the points, off that of the points
 SUNK = 0.01  # share of a particle that may lie deeper than a spacing in the target: single points of a jet, as the program allows
 # momentum that the contact takes, outside the sums of the lesser and of the greater force of two rows of the history, if it acts in so
@@ -411,16 +414,16 @@ class _ImpactCheck:
             own = self.body == b
             # of the change of volume that the pressure makes, m3, at the first and the last instant. Pressures are means over the
             # corners of an element, which have the volume of all elements around: those at the start, for they are of its J
-            bounds = []
+            bounds, changed = [], 0.0
             for f in (self.first, self.last):
                 data = f["target"].data
                 ratios = volume_ratios(metal, mean_pressure(data["stress"][own]), data["T"][own], T_0)
                 bounds.append([float(self.volumes[0][own] @ (J - 1.0)) for J in ratios])
+                changed = max(float(self.volumes[0][own] @ np.abs(J - 1.0)) for J in ratios)
             (low_0, high_0), (low, high) = bounds
             start, end = self.volumes[0][own].sum(), self.volumes[-1][own].sum()
-            excess = max(end - start - (high - low_0), low - high_0 - (end - start), 0.0) / (
-                start if b else self.p.volume
-            )
+            off = max(end - start - (high - low_0), low - high_0 - (end - start)) - AVERAGED_VOLUME * changed
+            excess = max(off, 0.0) / (start if b else self.p.volume)
             self.hold("volume", excess, VOLUME, f"volume of body {b} against its pressure")
 
     def kinetic_and_elastic(self) -> None:
@@ -458,7 +461,8 @@ class _ImpactCheck:
             self.hold(kind, share, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
 
     def heat(self) -> None:
-        """Rise of temperature against plastic work, dissipation, friction and torn bonds: conduction only moves it."""
+        """Rise of temperature against plastic work, dissipation, friction (of the particle, and between bodies) and torn bonds:
+        conduction only moves it."""
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
         stored = 0.0  # by the impacts before
@@ -474,7 +478,7 @@ class _ImpactCheck:
         if not self.effects.plastic_heating:
             low = high = 0.0
         if self.effects.friction_heat:  # of bonds only what tears becomes heat
-            high += work[2] + max(float(self.rows["bond"][-1]), 0.0)
+            high += work[2] + sum(max(float(self.rows[name][-1]), 0.0) for name in ("bond", "bodies"))
         if self.effects.dissipation_heat:
             high += max(float(self.rows["numerical_particle"][-1] + self.rows["numerical_target"][-1]), 0.0)
         excess = max(warmed - high, low - warmed, 0.0) / (sum(work) + 0.01 * self.energy + STORED_HEAT * stored)
