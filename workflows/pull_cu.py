@@ -1,6 +1,6 @@
-"""Splats of copper that are pulled off their ground, over velocity: python workflows/pull_cu.py
+"""Splats of copper that are pulled off their ground, over velocity and temperature: python workflows/pull_cu.py
 
-The scene is pull_cu.toml. Each velocity is a row of docs/tables/pull_cu.csv that is not computed again; --docs runs nothing and writes
+The scene is pull_cu.toml. Each impact is a row of docs/tables/pull_cu.csv that is not computed again; --docs runs nothing and writes
 figure and table of the page.
 """
 
@@ -8,20 +8,22 @@ from collections.abc import Sequence
 
 import numpy as np
 from pages import EVIDENCE, ROOT, column, computed, markdown, options, study, write_parts
+from study_table import Row
 
 from coupler import Scene
 from coupler.properties.pull import FILM, strengths
 from coupler.report.picture import blank, save
-from coupler.studies.table import Row
 
-VELOCITIES = ("600", "650", "700", "800")  # m/s
+IMPACTS = (("600", "300"), ("650", "300"), ("650", "450"), ("650", "600"), ("700", "300"), ("800", "300"))  # m/s, K
+KEY = ("velocity_m_s", "particle_K")
 SIDE = 13e-6  # m: of the block, within each splat
 ENDS = ("strength_MPa", "thin_MPa", "thick_MPa")  # of the films FILM
 
 
-def row_of(velocity: str) -> dict[str, object]:
-    """The splat of a velocity (m/s) as a row of the table; without a splat the strength is zero."""
-    scene = Scene.load(ROOT / "workflows" / "pull_cu.toml").with_(particle={"velocity": f"{velocity} m/s"})
+def row_of(velocity: str, temperature: str) -> dict[str, object]:
+    """The splat of a particle (m/s, K) as a row of the table; without a splat the strength is zero."""
+    particle = {"velocity": f"{velocity} m/s", "temperature": f"{temperature} K"}
+    scene = Scene.load(ROOT / "workflows" / "pull_cu.toml").with_(particle=particle)
     with computed(scene, error=False) as (result, cpu):
         impact = result.summary["impacts"][0]
         row: dict[str, object] = {"verdict": impact["verdict"], "cpu_s": round(cpu)}
@@ -36,16 +38,17 @@ def row_of(velocity: str) -> dict[str, object]:
 
 def lines(rows: Sequence[Row]) -> list[str]:
     """The table of the page."""
-    table = [
-        [r["velocity_m_s"], f"{float(r['strength_MPa']):.0f}", f"{float(r['thin_MPa']):.0f}, {float(r['thick_MPa']):.0f}",
-         f"{float(r['brittle']):.0%}" if r["brittle"] else "-"]
-        for r in rows
-    ]  # fmt: skip
-    return markdown(f"m/s | MPa | {FILM[1]:g}, {FILM[2]:g} of the film | work in bonds", table, rows)
+    table = []
+    for r in rows:
+        central, thin, thick = (f"{float(r[end]):.0f}" for end in ENDS)
+        share = f"{float(r['brittle']):.0%}" if r["brittle"] else "-"
+        table.append([r["velocity_m_s"], r["particle_K"], central, f"{thin}, {thick}", share])
+    return markdown(f"m/s | K | MPa | {FILM[1]:g}, {FILM[2]:g} of the film | work in bonds", table, rows)
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Strength over velocity, with the range of the film."""
+    """Strength of cold particles over velocity, with the range of the film."""
+    rows = [row for row in rows if float(row["particle_K"]) == 300.0]
     v, (central, thin, thick) = column(rows, "velocity_m_s"), (column(rows, end) for end in ENDS)
     figure = blank(4.5, 3.2, 140, "constrained")
     axes = figure.subplots()
@@ -57,9 +60,8 @@ def draw(rows: Sequence[Row]) -> None:
 def main() -> None:
     """Run what is missing, draw, write the table of the page."""
     a = options(__doc__, "docs")
-    keys = () if a.docs else ((v,) for v in VELOCITIES)
-    rows = sorted(study("pull_cu", ("velocity_m_s",), "python workflows/pull_cu.py", keys, row_of).rows,
-                  key=lambda r: float(r["velocity_m_s"]))  # fmt: skip
+    rows = sorted(study("pull_cu", KEY, "python workflows/pull_cu.py", () if a.docs else IMPACTS, row_of).rows,
+                  key=lambda r: [float(r[name]) for name in KEY])  # fmt: skip
     draw(rows)
     write_parts("properties", {"copper": lines(rows)})
 
