@@ -63,6 +63,12 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         )
     if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
         warnings.append(text)
+    walls = [0.5 * (1.0 - i.core.share ** (1.0 / 3.0)) * i.diameter for i in impacts if i.core is not None]
+    if len(impacts) > 1 and walls and min(walls) < (size := scene.derived.splat_element_size):
+        warnings.append(
+            f"the elements of a splat, {units.rounded(size, 'um')}, are larger than the shell of {units.rounded(min(walls), 'um')}: the"
+            " surface of its core is jagged; give a finer preset, or splat.element_size"
+        )
     for name in sorted({m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if m.is_ceramic}):
         warnings.append(
             f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"

@@ -259,6 +259,7 @@ def test_a_composite_powder_has_the_density_of_both_materials() -> None:
     assert impact.rho == pytest.approx(rho, rel=1e-12)
     assert impact.core.share == pytest.approx(0.6 * rho / inner.rho, rel=1e-12)
     assert mixed(shell, inner, impact.core.share).rho == pytest.approx(rho, rel=1e-12)
+    assert any("larger than the shell" in text for text in planned.warnings)  # 1 um of shell in elements of some 3 um
 
 
 @pytest.mark.parametrize(
