@@ -65,7 +65,7 @@ def page() -> str:
     lines = [
         f"""# A scene, key by key
 
-<!-- written by workflows/scene_page.py from coupler/scene/tables.py and words.toml: change those -->
+<!-- written by workflows/scene_page.py from the tables of coupler/scene and words.toml: change those -->
 
 A scene is a TOML file. Values with a unit are texts, `"25 um"`, in any unit of the same dimension. The `scene.toml` of a run
 holds every default written out.

@@ -83,7 +83,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     from ..files.outputs import claim_file
     from ..physics import materials
     from ..plan import gas as scene_gas
-    from ..scene.tables import DIAMETER
+    from ..scene.values import DIAMETER
     from ..spray.nozzles import unknown
 
     nozzles = known_nozzles(arguments)

@@ -109,17 +109,8 @@ def _square(lo: int, hi: int, w: Floats, square: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _resist(
-    team: Ints,
-    n: int,
-    m: int,
-    scale: float,
-    inverse: Floats,
-    x: Floats,
-    J: Floats,
-    c: Cells,
-    metals: Metals,
-    r: Response,
-) -> None:
+    team: Ints, n: int, m: int, scale: float, inverse: Floats, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response
+) -> None:  # fmt: skip
     """Multiply the motion by `scale`, by zero at nodes whose inverse mass (n,) is zero. Then do all kernels above, in their order, for
     the first n nodes and m elements, in all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):

@@ -9,9 +9,10 @@ from ..errors import ColdsprayError, SceneError
 from ..physics import materials
 from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, Adhesion, critical_velocity, oxide_film
 from ..physics.materials import Material
+from ..scene.ground import Substrate
 from ..scene.messages import shown, text_of
 from ..scene.model import SceneData
-from ..scene.tables import Particle, Substrate
+from ..scene.tables import Particle
 from . import cost as estimates
 from .derived import Derived
 from .ground import ground_of

@@ -15,7 +15,8 @@ from .. import units
 from ..physics.materials import Material, mixed, unknown
 from ..physics.shapes import sphere_volume
 from ..scene.coating import MOST_PARTICLES, Coating, PowderTable
-from ..scene.tables import Spray, read_table
+from ..scene.spray import Spray
+from ..scene.values import read_table
 from .passes import arrivals, divided
 from .powder import sizes_of
 

@@ -9,7 +9,8 @@ from ..physics import materials
 from ..physics.adhesion import Adhesion, PairBond
 from ..physics.materials import Material
 from ..scene.model import SceneData
-from ..scene.tables import Particle, Spray
+from ..scene.spray import Spray
+from ..scene.tables import Particle
 from . import cost as estimates
 from .model import CorePlan
 

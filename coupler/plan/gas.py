@@ -9,7 +9,9 @@ from ..errors import ColdsprayError
 from ..physics.materials import Material, mixed
 from ..scene.messages import in_words
 from ..scene.model import MOST_IMPACTS, SceneData, particle_tables
-from ..scene.tables import DIAMETER, Core, GasConditions, Particle, read_table
+from ..scene.spray import GasConditions
+from ..scene.tables import Core, Particle
+from ..scene.values import DIAMETER, read_table
 from ..spray import nozzles
 from ..spray.flight import DRAG_LAWS, Flight, fly_together
 from ..spray.gas import GASES, Flow

@@ -11,7 +11,7 @@ from ..files.height_maps import IMAGES, read_heights
 from ..files.inputs import InputError
 from ..geometry.raycast import RaySurface
 from ..geometry.rough import Ground
-from ..scene.tables import HeightMap, Substrate
+from ..scene.ground import HeightMap, Substrate
 
 _MOST_SAMPLES = 400  # across the substrate
 _DECIMALS = 10  # of a height in m

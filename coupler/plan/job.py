@@ -14,7 +14,7 @@ from ..physics import materials
 from ..physics.materials import Material
 from ..scene.job import JobData
 from ..scene.messages import in_words
-from ..scene.tables import read_table
+from ..scene.values import read_table
 from ..spray import nozzles
 from ..spray.gas import Flow
 from ..spray.sizes import Sizes

@@ -12,7 +12,7 @@ from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
 from ..physics.shapes import Pores
 from ..scene.effects import Effects
-from ..scene.tables import Face
+from ..scene.ground import Face
 from .batches import Batch, Landing, batches_of
 
 Vector = tuple[float, float, float]

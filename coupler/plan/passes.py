@@ -12,7 +12,8 @@ import numpy as np
 
 from .. import units
 from ..scene.coating import Coating
-from ..scene.tables import DWELL, GunPath
+from ..scene.spray import GunPath
+from ..scene.values import DWELL
 from ..spray.spot import Spot
 from .powder import table_of
 

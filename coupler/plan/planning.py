@@ -12,7 +12,8 @@ from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, pair_formula
 from ..physics.materials import Material
 from ..scene.effects import Effects, requested
-from ..scene.tables import Face, Particle
+from ..scene.ground import Face
+from ..scene.tables import Particle
 from . import cost as estimates
 from . import effects
 from .batches import batches_of

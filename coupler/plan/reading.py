@@ -15,8 +15,9 @@ from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_te
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, coating_tables, particle_tables, safe_name
-from ..scene.tables import Particle, Section, read_table
+from ..scene.tables import Particle
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
+from ..scene.values import Section, read_table
 from .batches import Landing, side_by_side
 from .check import problems_of
 from .coating import STAND_IN, expand

@@ -9,19 +9,8 @@ from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSch
 
 from .. import units
 from ..physics import shapes as morphology
-from .tables import (
-    DIAMETER,
-    DWELL,
-    KELVIN,
-    PORE_DIAMETER,
-    POROSITY,
-    VELOCITY,
-    BySize,
-    Core,
-    Quantity,
-    Section,
-    check_pores,
-)
+from .tables import Core
+from .values import DIAMETER, DWELL, KELVIN, PORE_DIAMETER, POROSITY, VELOCITY, BySize, Quantity, Section, check_pores
 
 
 def _read_sizes(value: object) -> tuple[float, ...] | str | None:

@@ -5,7 +5,8 @@ from typing import Annotated
 from pydantic import Field
 
 from .coating import PowderSizes
-from .tables import GasConditions, GunPath, Quantity, Section, Temperature, Track
+from .spray import GasConditions, GunPath, Track
+from .values import Quantity, Section, Temperature
 
 
 class Powder(Section):

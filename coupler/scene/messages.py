@@ -11,7 +11,8 @@ from pydantic_core import ErrorDetails
 
 from .. import units
 from .model import SceneData
-from .tables import GunPath, Track, read_table
+from .spray import GunPath, Track
+from .values import read_table
 
 # of required fields; those of particle and substrate replace faulty ones while other fields are checked
 _EXAMPLES: dict[str, dict[str, object]] = {

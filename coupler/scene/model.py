@@ -13,11 +13,14 @@ from pydantic import Field, field_validator
 from . import tables
 from .coating import Coating
 from .effects import requested
+from .ground import Substrate
+from .spray import GasConditions, Spray
+from .values import Section
 
 MOST_IMPACTS = 500
 
 
-class SceneData(tables.Section):
+class SceneData(Section):
     """All tables of a scene, in SI units. `coupler.plan.reading.Scene` reads and checks them."""
 
     name: str = Field("scene", pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,63}$")
@@ -27,9 +30,9 @@ class SceneData(tables.Section):
     library: str | None = None
     particles: list[tables.Particle] = Field(alias="particle")
     coating: Coating | None = None
-    gas: tables.GasConditions | None = None
-    spray: tables.Spray | None = None
-    substrate: tables.Substrate
+    gas: GasConditions | None = None
+    spray: Spray | None = None
+    substrate: Substrate
     contact: tables.Contact = tables.Contact(friction=0.5)
     adhesion: tables.AdhesionTable = tables.AdhesionTable()
     splat: tables.SplatTable = tables.SplatTable()

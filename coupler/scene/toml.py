@@ -13,7 +13,7 @@ from tomlkit.items import AoT, Comment, Table, Whitespace
 
 from .. import units
 from .model import SceneData
-from .tables import BySize, Quantity, Section
+from .values import BySize, Quantity, Section
 
 # (key such as "particle[2].velocity", its value as text; None removes the key)
 Settings = Sequence[tuple[str, str | None]]

@@ -13,7 +13,7 @@ from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.text import describe
-from coupler.scene.tables import GasConditions
+from coupler.scene.spray import GasConditions
 from coupler.spray import nozzles
 from coupler.spray.flight import DRAG_LAWS, fly_together
 from coupler.spray.gas import GASES, Flow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coupler.plan.passes import spot_of
-from coupler.scene.tables import GunPath
+from coupler.scene.spray import GunPath
 from coupler.spray.spot import Spot
 from coupler.spray.track import Gun, measures, waves
 
