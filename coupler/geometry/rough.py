@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from ..core.arrays import Floats
 
@@ -35,6 +34,8 @@ class Ground:
         for angle, corners in self.profiles:
             z += np.interp(at @ np.array([math.cos(angle), math.sin(angle)]), *np.array(corners).T)
         if self.grid:
+            from scipy.ndimage import map_coordinates  # its import takes long, see plan.ground
+
             middle = 0.5 * (np.array([[len(self.grid)], [len(self.grid[0])]]) - 1.0)
             z += map_coordinates(np.array(self.grid), at.T[::-1] / self.pitch + middle, order=1, mode="nearest")
         return z

@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from ..files.height_maps import IMAGES, read_heights
 from ..files.inputs import InputError
@@ -63,6 +62,8 @@ def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tupl
             f"has no height {at * 1e6:.3g} um from its middle, the substrate has a radius of {diameter * 5e5:.3g} um:"
             " give a larger unit, a larger map without holes, or a smaller substrate.diameter",
         )
+    from scipy.ndimage import gaussian_filter  # its import takes longer than all others of a plan
+
     shares = gaussian_filter(inside.astype(float), 1.0)  # of the places of the disc in each average
     z = gaussian_filter(np.where(inside, z - z[inside].mean(), 0.0), 1.0) / np.maximum(shares, 1e-3)
     return tuple(tuple(row) for row in np.round(z, _DECIMALS).tolist())
