@@ -118,3 +118,16 @@ seed = 3
 [substrate]
 material = "SS304"
 """
+
+
+def three(*offsets: float) -> str:
+    """200-point particles for 10 ns, windows of 32 um, at these places (um) along x."""
+    head, *particles = scene(
+        ("Ni", 20, 550), ("Ni", 20, 550), ("Ti", 20, 500), spacing=2.7, element_size=5.0, diameter=180, height=50, end=10, every=5,
+        of_substrate='window = "32 um"\n',
+    ).split("[[particle]]\n")  # fmt: skip
+    placed = [f'[[particle]]\noffset = ["{x} um", "0 um"]\n{p}' for x, p in zip(offsets, particles, strict=True)]
+    return head + "".join(placed)
+
+
+SIDE = three(-42, 42, -36)  # two side by side, then one on the first splat
