@@ -20,6 +20,7 @@ from pages import (
     EVIDENCE,
     ROOT,
     TABLES,
+    column,
     computed,
     markdown,
     measurements,
@@ -235,6 +236,22 @@ def draw(rows: list[Row]) -> None:
     save(figure, EVIDENCE / "critical.png")
 
 
+def draw_springs(rows: list[Row]) -> None:
+    """Energy of the contact springs at the greatest deformation, and of the rebound, over the stiffness of the springs."""
+    figure = blank(5.4, 3.4, 110, "constrained")
+    axis = figure.add_subplot()
+    for key, words, style in (("rebound_J_m2", "rebound", "-"), ("springs_J_m2", "contact springs", ":")):
+        for preset, colour in (("draft", "#d55e00"), ("standard", "#0072b2")):
+            own = [row for row in rows if row["preset"] == preset]
+            label = f"{words}, {preset}"
+            axis.plot(column(own, "contact_stiffness"), column(own, key), f"o{style}", color=colour, ms=4, label=label)
+    axis.set(
+        xlabel="stiffness of the contact over the default", ylabel="energy over contact area (J/m²)", ylim=(0.0, None)
+    )
+    axis.legend(fontsize=8)
+    save(figure, EVIDENCE / "contact.png")
+
+
 def main() -> None:
     """Run what is missing and tabulate."""
     a = options(__doc__, "docs", runs="runs/bonding_energy")
@@ -246,7 +263,7 @@ def main() -> None:
     )
     study("bonding_scatter", PLACED_KEY, REMAKE, () if a.docs else placed, partial(placed_row, runs=runs))
     springs_of = () if a.docs else itertools.product(("draft", "standard"), ("1", "8", "16"))
-    study("contact_springs", ("preset", "contact_stiffness"), REMAKE, springs_of, springs)
+    draw_springs(study("contact_springs", ("preset", "contact_stiffness"), REMAKE, springs_of, springs).rows)
     profiles = study("bond_profile", ("zone_r_over_R",), REMAKE)
     for row in () if a.docs or profiles.rows else profile():
         print(profiles.add(row), flush=True)

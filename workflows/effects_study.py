@@ -15,7 +15,18 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from pages import computed, impact_tables, markdown, measurements, number, options, spacing_of, study, write_parts
+from pages import (
+    EVIDENCE,
+    computed,
+    impact_tables,
+    markdown,
+    measurements,
+    number,
+    options,
+    spacing_of,
+    study,
+    write_parts,
+)
 from study_table import Row
 
 from coupler import Scene
@@ -25,6 +36,7 @@ from coupler.impact.loop import advance_chunk
 from coupler.measures import CONVERGING, measure
 from coupler.plan.effects import EFFECTS, GRADIENTS
 from coupler.plan.planning import plan
+from coupler.report.picture import blank, save
 from coupler.scene.effects import NAMES
 
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
@@ -33,6 +45,7 @@ NEVER = ("adhesion", "cooling", GRADIENTS)
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
 COMMAND = "python workflows/effects_study.py"
 Tables = dict[str, Any]
+LEAST = 0.05  # %: bars of smaller changes end here
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 
 
@@ -150,13 +163,30 @@ def main() -> None:
     write(influence(a.docs or a.proof), against.rows)
 
 
+def draw(largest: Mapping[str, list[float]]) -> None:
+    """Bars of the largest changes of each effect, on a logarithmic axis."""
+    figure = blank(7.0, 4.2, 110, "constrained")
+    axis = figure.add_subplot()
+    for k, (name, colour) in enumerate(zip(SHOWN.values(), ("#0072b2", "#d55e00", "#009e73"), strict=True)):
+        places = np.arange(len(largest)) + 0.27 * (k - 1)
+        axis.barh(places, [max(cells[k], LEAST) for cells in largest.values()], 0.27, color=colour, label=name)
+    axis.set_yticks(range(len(largest)), list(largest), fontsize=8)
+    axis.set(xscale="log", xlim=(LEAST, 100.0), xlabel="largest change without the effect (%)")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.invert_yaxis()
+    axis.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    save(figure, EVIDENCE / "effects.png")
+
+
 def write(changes: list[Row], against: list[Row]) -> None:
-    """Write the table of effects and what `auto` saves into the page."""
-    lines = []
+    """Write the table of effects and what `auto` saves into the page, and its figure."""
+    lines, largest = [], {}
     for effect in EFFECTS:
         own = [row for row in changes if row["effect"] == effect.name]
         span = sorted(number(row, "number") for row in own)
         cells = [max((abs(number(row, key)) for row in own), default=math.nan) for key in SHOWN]
+        if own:
+            largest[effect.name] = cells
         lines.append([
             effect.name, effect.number, " to ".join(dict.fromkeys(f"{value:.2g}" for value in span[:: max(len(span) - 1, 1)])) or "-",
             *("-" if math.isnan(cell) else f"{cell:.1f}" for cell in cells), f"{effect.threshold:g}",
@@ -164,6 +194,7 @@ def write(changes: list[Row], against: list[Row]) -> None:
     head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "threshold"]
     ratios = [number(row, "ratio") for row in against]
     median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
+    draw(largest)
     write_parts("effects", {
         "table": markdown(head, lines, changes),
         "proof": [median],
