@@ -3,6 +3,7 @@ random."""
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, StrictFloat, StrictInt, WithJsonSchema, field_validator, model_validator
@@ -56,25 +57,16 @@ PowderSizes = Annotated[
 ]
 
 
-class PowderTable(Section):
-    """A powder of a coating. SI units.
+class Feedstock(Section):
+    """A powder as it is fed, in a coating or a job. SI units.
 
-    diameter: median of a log-normal distribution by number; spread: its geometric standard deviation; or sizes instead of both.
-    smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
-    (m/s): standard deviation, limited to two deviations. shapes: fraction by number of each shape; shapes other than spheres have a
-    random tilt. files: pattern of names of files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa):
-    as in `Particle`; porosity, pore_diameter (m) and core too.
+    sizes: by mass. shapes: fraction by number of each shape; shapes other than spheres have a random tilt. files: pattern of names of
+    files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa): as in `Particle`; porosity,
+    pore_diameter (m) and core too.
     """
 
     material: str
-    diameter: Annotated[float | None, DIAMETER] = None
-    spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
     sizes: PowderSizes | None = None
-    smallest: Annotated[float | None, DIAMETER] = None
-    largest: Annotated[float | None, DIAMETER] = None
-    velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(VELOCITY)] = None
-    velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
-    temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(KELVIN)] = None
     shapes: dict[str, StrictFloat | StrictInt] = Field({"sphere": 1.0})
     files: str | None = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
@@ -97,21 +89,44 @@ class PowderTable(Section):
         return value
 
     @model_validator(mode="after")
-    def _has_one_size_and_sized_pores(self) -> Self:
+    def _has_sized_pores(self) -> Self:
         if isinstance(self, Coating) and self.powder:  # each powder has its own
             return self
-        if (self.diameter is None) == (self.sizes is None):
-            raise ValueError('needs either diameter (such as "22 um") or sizes (such as "15-45 um")')
         if self.core is not None and self.core.share is None:
             raise ValueError("needs the share of its core, not the diameter, because its particles differ in size")
-        low, high = self.smallest or 0.0, self.largest or math.inf
-        if not low <= (self.diameter or low) <= high:
-            raise ValueError("needs values with smallest <= diameter <= largest")
         check_pores(self.porosity, self.pore_diameter)
         if self.porosity > 0.0 and self.files:
             raise ValueError("has no porosity with files: a file has its pores as surfaces inside it")
         if self.porosity > 0.0 and self.shapes.get("hollow_sphere", 0.0) > 0.0:
             raise ValueError("has no porosity with hollow spheres: leave out one of both")
+        return self
+
+
+class PowderTable(Feedstock):
+    """A powder of a coating. SI units.
+
+    diameter: median of a log-normal distribution by number; spread: its geometric standard deviation; or sizes instead of both.
+    smallest, largest: limits of the diameter. velocity, temperature: one value or values by size, default from [gas]; velocity_spread
+    (m/s): standard deviation, limited to two deviations.
+    """
+
+    diameter: Annotated[float | None, DIAMETER] = None
+    spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
+    smallest: Annotated[float | None, DIAMETER] = None
+    largest: Annotated[float | None, DIAMETER] = None
+    velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(VELOCITY)] = None
+    velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
+    temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(KELVIN)] = None
+
+    @model_validator(mode="after")
+    def _has_one_size(self) -> Self:
+        if isinstance(self, Coating) and self.powder:  # each powder has its own
+            return self
+        if (self.diameter is None) == (self.sizes is None):
+            raise ValueError('needs either diameter (such as "22 um") or sizes (such as "15-45 um")')
+        low, high = self.smallest or 0.0, self.largest or math.inf
+        if not low <= (self.diameter or low) <= high:
+            raise ValueError("needs values with smallest <= diameter <= largest")
         return self
 
 
@@ -153,8 +168,8 @@ class Coating(PowderTable):
             raise ValueError(
                 "needs two tables [[coating.powder]] or more; for a single powder write its keys in [coating] instead"
             )
-        if self.powder and abs((whole := math.fsum(powder.share for powder in self.powder)) - 1.0) > 1e-3:
-            raise ValueError(f"needs values of powder.share that add up to 1: these add up to {whole:.4g}")
+        if self.powder:
+            check_shares([powder.share for powder in self.powder])
         if self.number % self.layers:
             raise ValueError(
                 f"needs layers that divide number = {self.number}, because all layers have the same number of particles"
@@ -165,6 +180,12 @@ class Coating(PowderTable):
     def powders(self) -> tuple[PowderTable, ...]:
         """The powders of a blend, or the only one."""
         return self.powder or (self,)
+
+
+def check_shares(shares: Sequence[float]) -> None:
+    """Raises ValueError if the mass fractions of the powders of a blend do not add up to 1."""
+    if abs((whole := math.fsum(shares)) - 1.0) > 1e-3:
+        raise ValueError(f"needs values of powder.share that add up to 1: these add up to {whole:.4g}")
 
 
 def _completed(table: object, common: dict[str, object]) -> object:
