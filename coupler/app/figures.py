@@ -32,17 +32,17 @@ def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layo
     return {"data": [*traces], "layout": {**axes, **base, **layout}, "config": config}
 
 
-def window(job: Job) -> Figure:
-    """Velocity against temperature at impact for the size classes of the powder, with the critical velocities by the formula for a
+def window(job: Job, powder: str) -> Figure:
+    """Velocity against temperature at impact for the size classes of a metal powder, with the critical velocities by the formula for a
     particle of diameter D50."""
-    spray, D50, lines = job.arrived, job.sizes.diameter(0.5), []
+    spray, own, lines = job.arrived[powder], job.powders[powder], []
     coldest, hottest = float(spray.temperature.min()), float(spray.temperature.max())
-    T = np.linspace(min(280.0, coldest), min(hottest + 200.0, 0.9 * job.metal.T_m), 40)
-    pair = {job.data.substrate.material: job.base, job.data.powder.material: job.metal}
+    T, D50 = np.linspace(min(280.0, coldest), min(hottest + 200.0, 0.9 * own.metal.T_m), 40), own.sizes.diameter(0.5)
+    pair = {job.surface: job.metals[job.surface], own.table.material: own.metal}
     for (name, metal), colour in zip(pair.items(), charts.LINES, strict=False):
         if metal.sigma_TS is None:
             continue
-        v = np.array([critical_velocity(metal, t, D50) for t in T])
+        v = job.slant * np.array([critical_velocity(metal, t, D50) for t in T])
         for factor in (1 - BAND, 1 + BAND):
             edge = charts.trace(T, factor * v, "", color=colour, width=0) | {"hoverinfo": "skip", "showlegend": False}
             lines.append(edge | ({"fill": "tonexty", "fillcolor": f"{colour}26"} if factor > 1 else {}))
@@ -58,19 +58,20 @@ def window(job: Job) -> Figure:
         "line": {"width": 0.5, "color": GREY},
         "colorbar": bar,
     }
-    cloud = charts.trace(spray.temperature, spray.velocity, "powder: 25 classes of equal mass") | {"mode": "markers"}
+    cloud = charts.trace(spray.temperature, spray.velocity, f"{powder}: 25 classes of equal mass") | {"mode": "markers"}
     hover = "%{text} µm: %{y:.0f} m/s, %{x:.0f} K<extra></extra>"
     lines.append(cloud | {"marker": marks, "text": sizes, "hovertemplate": hover})
     return shell(lines, "temperature at impact (K)", "velocity (m/s)", f"window-{job.name}")
 
 
-def flights(job: Job) -> Figure:
-    """Velocity of the gas and of particles of diameters D10, D50 and D90 along the axis of the nozzle; their temperatures in a second
-    panel below."""
-    gas, D = job.data.gas, [job.sizes.diameter(share) for share in (0.1, 0.5, 0.9)]
-    flown = fly_together(job.flow, job.metal, D, gas.powder_temperature, DRAG_LAWS[gas.drag])
+def flights(job: Job, powder: str) -> Figure:
+    """Velocity of the gas and of particles of a powder of diameters D10, D50 and D90 along the axis of the nozzle; their temperatures
+    in a second panel below."""
+    gas, own = job.data.gas, job.powders[powder]
+    D = [own.sizes.diameter(share) for share in (0.1, 0.5, 0.9)]
+    flown = fly_together(job.flow, own.flying, D, gas.powder_temperature, DRAG_LAWS[gas.drag])
     curves = [("gas", flown[0].u, flown[0].T_gas, GREY)]
-    curves += [(f"{1e6 * d:.0f} µm", f.v, f.T, c) for d, f, c in zip(D, flown, charts.LINES, strict=False)]
+    curves += [(f"{powder}, {1e6 * d:.0f} µm", f.v, f.T, c) for d, f, c in zip(D, flown, charts.LINES, strict=False)]
     lines, x = [], 1e3 * flown[0].x
     for name, v, T, colour in curves:
         lines.append(charts.trace(x, v, name, color=colour))

@@ -11,7 +11,7 @@ from ..core.cores import cores
 from ..errors import ColdsprayError, SceneError
 from ..files.inputs import last_lines, reading
 from ..files.result import HISTORY, Result
-from ..plan.job import Job, from_text
+from ..plan.job import from_text
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import describe, duration
@@ -36,7 +36,7 @@ class Look:
     more: str = ""
     numbers: tuple[Number, ...] = ()
     drawn: tuple[figures.Figure, ...] = ()
-    classes: Mapping[str, Iterable[float]] | None = None
+    classes: Mapping[str, Iterable[float | str]] | None = None
 
 
 @dataclass(frozen=True)
@@ -60,26 +60,26 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
             flat = "\n".join(" ".join(line.split()) for line in lines.splitlines())
             return Look(lines=flat, more=describe(planned, lines, brief=True))
         job = from_text(text, path)
-        found = _gas(job)
-        if not verb:
-            return found
-        lines = f"at most {duration(job.data.within)} on {cores()} cores"
-        more = f"in this order while there is time: {'; '.join(part.words for part in job.parts)}"
-        return Look((), lines, more, found.numbers, found.drawn, found.classes)
+        lines, more = "; ".join(job.flow.notes), ""
+        if verb:
+            job.check()
+            lines = f"at most {duration(job.data.within)} on {cores()} cores"
+            more = f"in this order while there is time: {'; '.join(part.words for part in job.parts)}"
+        windows = [figures.window(job, name) for name, powder in job.powders.items() if not powder.metal.is_ceramic]
+        drawn = (*windows, *(figures.flights(job, name) for name in job.powders))
+        each: list[dict[str, Any]] = [
+            {
+                "powder": [name] * len(at.share), "share": at.share, "diameter_um": 1e6 * at.diameter,
+                "velocity_m_s": at.velocity, "temperature_K": at.temperature, "critical_velocity_m_s": at.critical,
+            }
+            for name, at in job.arrived.items()
+        ]  # fmt: skip
+        classes = {key: [value for columns in each for value in columns[key]] for key in each[0]}
+        return Look((), lines, more, tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
     except SceneError as error:
         return Look(error.problems)
     except ColdsprayError as error:
         return Look([str(error)])
-
-
-def _gas(job: Job) -> Look:
-    spray = job.arrived
-    classes = {
-        "share": spray.share, "diameter_um": 1e6 * spray.diameter, "velocity_m_s": spray.velocity,
-        "temperature_K": spray.temperature, "critical_velocity_m_s": spray.critical,
-    }  # fmt: skip
-    drawn = (figures.window(job), figures.flights(job))
-    return Look((), "; ".join(job.flow.notes), "", tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
 
 
 def now(workspace: Workspace, folder: Path) -> Now:
@@ -113,6 +113,7 @@ def _draw(folder: Path, steps: int, impact: int) -> None:
 
 
 def as_csv(columns: Mapping[str, Any]) -> str:
-    """Return columns of numbers as the text of a CSV table."""
+    """Return columns of texts or numbers as the text of a CSV table."""
     rows = zip(*columns.values(), strict=True)
-    return "\n".join([",".join(columns), *(",".join(f"{value:.7g}" for value in row) for row in rows)]) + "\n"
+    cells = ([each if isinstance(each, str) else f"{each:.7g}" for each in row] for row in rows)
+    return "\n".join([",".join(columns), *(",".join(row) for row in cells)]) + "\n"

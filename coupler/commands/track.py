@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     with working("the powder at the target", arguments.quiet) as progress:
         profiles, known = study.compute(job, arguments.track.parent, progress.stage)
     write_text(out / study.RECORD, json.dumps(known, indent=1) + "\n")
-    study.write(profiles, known, out, f"{job.metal.name}, {job.name}", f"{MARK} track; {remake(arguments)}")
+    study.write(profiles, known, out, f"{' + '.join(job.powders)}, {job.name}", f"{MARK} track; {remake(arguments)}")
     if not arguments.quiet:
         print("\n".join([*study.words(known), f"{', '.join(study.FILES)} in {out}"]))
     return 0

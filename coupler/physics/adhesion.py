@@ -40,7 +40,7 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
     if material.is_ceramic:
         raise ColdsprayError(
             f"{material.name} is a ceramic: it makes no metallic bond, so that it has no critical velocity and no window of its own;"
-            " spray it in a blend with a metal, by [[coating.powder]] of a scene for coldspray run"
+            " spray it in a blend with a metal, by [[powder]] of a job or [[coating.powder]] of a scene"
         )
     if material.sigma_TS is None:
         raise ColdsprayError(

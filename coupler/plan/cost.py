@@ -73,7 +73,7 @@ FILE_BYTES_PER_POINT = 58.0
 VERTICES = 6.5  # of a particle's surface over points^(2/3)
 
 
-def spacing(volume: float, points: int) -> float:
+def spacing(volume: float, points: float) -> float:
     """Spacing, m, of a number of points in a volume (m^3): each point has the volume spacing^3."""
     return (volume / points) ** (1 / 3)
 

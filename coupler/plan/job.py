@@ -1,24 +1,27 @@
 """The computations of a job: the scenes of its impacts and coatings; their number and resolution follow from the given time."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import SCENE_LIMIT, read_text, toml_of
+from ..files.inputs import SCENE_LIMIT, leaves, read_text, toml_of
+from ..measures import STICKS
 from ..physics import materials
 from ..physics.materials import Material
-from ..scene.job import JobData
+from ..scene.coating import MOST_PARTICLES
+from ..scene.job import JobData, Powder
 from ..scene.messages import in_words
 from ..scene.values import read_table
 from ..spray import nozzles
 from ..spray.gas import Flow
 from ..spray.sizes import Sizes
-from ..spray.window import FASTEST, Spray, spray
+from ..spray.window import EROSION, FASTEST, Spray, at_impact, spray
 from . import cost
 from . import gas as scene_gas
 from .own import with_library
@@ -26,17 +29,21 @@ from .powder import sizes_of
 from .reading import Scene
 
 ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
-BLEND = "; a job has one powder: write a blend as a scene with [[coating.powder]], for coldspray run"
+COVER = 7.4  # particles of a layer over the square of the radius `Coatings.disc`
+LEAST_OF_EACH = 2  # particles of each powder in a coating
+OF_PARTICLE = "hardness", "yield_strength", "porosity", "pore_diameter", "core"  # keys of a powder and of a particle
+_OF_COATING = re.compile(r"^(particle\[\d+\]|coating(\.number = \d+: powder|\.powder|(?=\.)))")  # a powder in messages
 START = 4.0  # processor time of the start of a run and of its pictures, s
 PARALLEL = 0.8  # efficiency of several threads and of runs of unequal length
 
 
 @dataclass(frozen=True)
 class Search:
-    """A search for the critical velocity of the median particle on the metal `base`. points: points of the particle; placements:
-    impacts at each velocity; tolerance: width of the bracket divided by its middle; strength: another strength set of the powder, ""
-    for its own set."""
+    """A search for the critical velocity of the median particle of a powder on the metal `base`. points: points of the particle;
+    placements: impacts at each velocity; tolerance: width of the bracket divided by its middle; strength: another strength set of the
+    powder, "" for its own set."""
 
+    powder: str
     base: str
     points: int
     placements: int = 1
@@ -47,13 +54,15 @@ class Search:
     @property
     def words(self) -> str:
         """The search as text."""
+        what = f"bonds of {self.powder} on {self.base} with {self.points} points"
         each = f", {self.placements} impacts at each velocity" * (self.placements > 1)
-        return f"bonds on {self.base} with {self.points} points" + f", {self.strength}" * bool(self.strength) + each
+        return what + f", {self.strength}" * bool(self.strength) + each
 
     @property
     def folder(self) -> str:
         """Folder of the runs of this search, relative to the folder of the job."""
-        return f"bonds/on_{self.base}/{self.points}" + f"_{self.strength}" * bool(self.strength)
+        pair = f"{self.powder}_on_{self.base}".replace(" ", "_")
+        return f"bonds/{pair}/{self.points}" + f"_{self.strength}" * bool(self.strength)
 
 
 @dataclass(frozen=True)
@@ -74,31 +83,58 @@ class Coatings:
 
     @property
     def number(self) -> int:
-        """Number of particles of a coating: in each layer 7.4 times the square of the radius `disc`."""
-        return self.layers * round(7.4 * self.disc**2)
+        """Number of particles of a coating: in each layer COVER times the square of the radius `disc`."""
+        return self.layers * round(COVER * self.disc**2)
+
+
+@dataclass(frozen=True)
+class Feed:
+    """A powder of a job. name: its materials, such as "Ni on Al2O3", with a number if another powder has the same; key: its table in
+    messages; raw, table: its table as text and in SI units; sizes: size distribution; metal: material of its surface; flying: the
+    same with the mean density of a composite particle; room: least number of points of a particle."""
+
+    name: str
+    key: str
+    raw: dict[str, Any]
+    table: Powder
+    sizes: Sizes
+    metal: Material
+    flying: Material
+    room: float = ROOM
+
+    def keys(self, names: Iterable[str]) -> dict[str, Any]:
+        """The keys of its table that have these names."""
+        return {name: self.raw[name] for name in names if name in self.raw}
 
 
 @dataclass(frozen=True)
 class Job:
-    """A job. raw: the tables of its file; data: the same in SI units; sizes: size distribution of the powder; metals: metals by name;
-    nozzle: nozzle of the gas."""
+    """A job. folder: folder of its file; raw: the tables of the file; data: the same in SI units; powders: its powders by name; metals:
+    metals by name; nozzle: nozzle of the gas."""
 
     name: str
+    folder: Path
     raw: dict[str, Any]
     data: JobData
-    sizes: Sizes
+    powders: Mapping[str, Feed]
     metals: Mapping[str, Material]
     nozzle: nozzles.Nozzle
 
     @property
-    def metal(self) -> Material:
-        """Metal of the powder."""
-        return self.metals[self.data.powder.material]
+    def main(self) -> Feed:
+        """The metal powder with the largest share."""
+        metals = [powder for powder in self.powders.values() if not powder.metal.is_ceramic]
+        return max(metals or self.powders.values(), key=lambda powder: powder.table.share)
 
     @property
-    def base(self) -> Material:
-        """Metal of the substrate."""
-        return self.metals[self.data.substrate.material]
+    def surface(self) -> str:
+        """Name of the metal of the surface of the substrate."""
+        return self.data.substrate.materials[0]
+
+    @property
+    def slant(self) -> float:
+        """Velocity of a particle divided by its component normal to the surface."""
+        return 1.0 / math.cos(self.data.spray.angle)
 
     @cached_property
     def flow(self) -> Flow:
@@ -109,90 +145,168 @@ class Job:
             raise SceneError([f"gas.{error}"], self.name) from None
 
     @cached_property
-    def arrived(self) -> Spray:
-        """The powder at impact, with the critical-velocity formula for its metal and the substrate."""
-        fly = partial(scene_gas.flights, self.data.gas, self.flow, self.metal)
-        return spray(self.metal, self.base, self.sizes, fly)
+    def arrived(self) -> Mapping[str, Spray]:
+        """Each powder at impact, by name, with the critical-velocity formula for its metal and the surface of the substrate; a ceramic
+        needs a metal beside it. Raises ColdsprayError as `spray`."""
+        found, base = {}, self.metals[self.surface]
+        for name, powder in self.powders.items():
+            fly = partial(scene_gas.flights, self.data.gas, self.flow, powder.flying)
+            in_blend = powder.metal.is_ceramic and not self.main.metal.is_ceramic
+            made = at_impact if in_blend else partial(spray, keys=(f"{powder.key}.material", "substrate.material"))
+            found[name] = made(powder.metal, base, powder.sizes, fly)
+        return found
 
-    def on(self, base: str, points: int, strength: str = "") -> Scene:
-        """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, on
-        the metal `base` of the job. points: number of points of the particle; strength: a strength set of the powder, by default its
-        own."""
-        k = len(self.arrived.share) // 2
-        D = float(self.arrived.diameter[k])
-        tables = self._materials(self.data.powder.material, base)
+    def efficiency(self, powder: str) -> float:
+        """Mass fraction of a powder that sticks on its own metal by the formula."""
+        return self.arrived[powder].fates(self.slant)[STICKS]
+
+    @property
+    def sticks(self) -> bool:
+        """Whether any of the powders sticks by the formula."""
+        return any(self.efficiency(name) > 0.0 for name in self.powders)
+
+    @cached_property
+    def hits(self) -> tuple[tuple[str, str], ...]:
+        """Each metal powder with the name of a metal that it hits: of the substrate, then its own."""
+        return tuple(
+            (name, base)
+            for name, powder in self.powders.items() if not powder.metal.is_ceramic
+            for base in dict.fromkeys((self.surface, powder.table.material))
+        )  # fmt: skip
+
+    def on(self, powder: str, base: str, points: int, strength: str = "") -> Scene:
+        """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, at
+        the angle of the gun on the metal `base` of the job. points: number of points of the particle; strength: a strength set of the
+        powder, by default its own."""
+        own, at = self.powders[powder], self.arrived[powder]
+        k = len(at.share) // 2
+        D, metal = float(at.diameter[k]), own.table.material
+        tables = self._materials(*own.table.materials, base)
         if strength:
-            tables[self.data.powder.material]["strength"] = strength
+            tables[metal]["strength"] = strength
         return Scene.from_dict({
             "particle": {
-                "material": self.data.powder.material, "diameter": _um(D), "velocity": f"{self.arrived.velocity[k]:.4g} m/s",
-                "temperature": f"{self.arrived.temperature[k]:.4g} K",
+                "material": metal, "diameter": _um(D), "velocity": f"{at.velocity[k]:.4g} m/s",
+                "temperature": f"{at.temperature[k]:.4g} K", "angle": units.show(self.data.spray.angle, "deg"),
+            } | own.keys(OF_PARTICLE),
+            "substrate": {
+                "material": base, "diameter": _um(6.0 * D), "height": _um(3.0 * D),
+                "temperature": f"{self.data.substrate.temperature:.6g} K",
             },
-            "substrate": self._base(base, 6.0 * D, 3.0 * D), "adhesion": {"kind": "cohesive", "criterion": "exposure"},
+            "adhesion": {"kind": "cohesive", "criterion": "exposure"},
             "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * D**3, points))}, "materials": tables,
         }, f"{self.name}_on_{base}")  # fmt: skip
 
+    def check(self) -> None:
+        """Raise SceneError if no coating can be computed: the path of the gun does not pass it, its surface cannot be meshed, or its
+        powder cannot be resolved. Each problem is told once, with the key of the job."""
+        try:
+            self.coating([part for part in self.parts if isinstance(part, Coatings)][-1], 1)
+        except SceneError as error:
+            told = [_OF_COATING.sub("powder", text) for text in error.problems if not text.startswith("...")]
+            raise SceneError([*{text.split(" ")[0]: text for text in told}.values()], self.name) from None
+
     def coating(self, part: Coatings, seed: int) -> Scene:
-        """The scene of a coating. Its particles are those that stick by the formula, or all particles if none sticks. All particles
-        of the scene are tied to the surface."""
-        smallest, median, largest = self.middle(part.points)
-        radius, spread = part.disc * median, math.log(self.sizes.diameter(0.9) / self.sizes.diameter(0.1)) / 2.563
-        metal = self.data.powder.material
-        by_number = median * math.exp(-3.0 * spread**2)  # Hatch & Choate (1929), J. Franklin Inst. 207, 369
+        """The scene of a coating. Its particles are those that stay (`stays`); metal particles are tied to the surface, ceramic ones
+        are not. Names of files are relative to the folder of the job. Raises SceneError."""
+        ranges, body = self.middle(part.points), self.data.substrate
+        smallest, largest = (end(each[k] for each in ranges.values()) for end, k in ((min, 0), (max, 2)))
+        median = max(self.medians.values())
+        radius = part.disc * math.sqrt(sum(n * self.medians[name] ** 2 for name, n in self.by_number.items()))
+        spacing = min(
+            cost.spacing(math.pi / 6.0 * largest**3, part.points),
+            cost.spacing(math.pi / 6.0 * smallest**3, self.room),
+        )
+        height = max(3.0 * median, 21.0 * body.roughness) + sum(layer.thickness for layer in body.layer)
+        powders = [self._drawn(name, *ranges[name]) for name in self.stays]
+        names = [*(name for each in self.stays for name in self.powders[each].table.materials), *body.materials]
         return Scene.from_dict({
             "preset": "draft", "gas": self.raw["gas"], "spray": self.raw.get("spray", {}),
             "coating": {
-                "material": metal, "number": part.number, "layers": part.layers, "radius": _um(radius), "positions": "even",
-                "diameter": _um(min(max(by_number, smallest), largest)), "spread": max(math.exp(spread), 1.0),
-                "smallest": _um(smallest), "largest": _um(largest), "seed": seed,
-            },
-            "substrate": self._base(self.data.substrate.material, 2.0 * radius + 3.7 * median, 3.0 * median),
+                "number": part.number, "layers": part.layers, "radius": _um(radius), "positions": "even", "seed": seed,
+            } | ({"powder": powders} if len(powders) > 1 else powders[0]),
+            "substrate": {"diameter": _um(2.0 * radius + 3.7 * median), "height": _um(height)} | self.raw["substrate"],
             "adhesion": {"kind": "tied", "criterion": "all"}, "output": {"at": "ends"},
-            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * largest**3, part.points))},
-            "materials": self._materials(metal, self.data.substrate.material), "nozzles": self.raw["nozzles"],
-        }, f"{self.name}_coating")  # fmt: skip
+            "resolution": {"spacing": _um(spacing)}, "materials": self._materials(*names), "nozzles": self.raw["nozzles"],
+        }, str(self.folder / f"{self.name}_coating"))  # fmt: skip
 
-    def middle(self, points: int) -> tuple[float, float, float]:
-        """Smallest, median and largest diameter (m) of the particles of a coating. The median is that of the mass that sticks by the
-        formula. The range is the widest in which the smallest particle has ROOM points if the largest has `points`."""
-        ratio = self.arrived.ratio
-        stick = self.arrived.share[(ratio >= 1.0) & (ratio < 2.0)]
-        median = self.sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
-        half = (points / ROOM) ** (1.0 / 6.0)
-        return max(median / half, self.sizes.diameter(0.05)), median, min(median * half, self.sizes.diameter(0.95))
+    def _drawn(self, name: str, smallest: float, median: float, largest: float) -> dict[str, object]:
+        """The table of a powder in a coating. smallest, median, largest: its diameters by mass, m."""
+        powder = self.powders[name]
+        spread = math.log(powder.sizes.diameter(0.9) / powder.sizes.diameter(0.1)) / 2.563
+        by_number = median * math.exp(-3.0 * spread**2)  # Hatch & Choate (1929), J. Franklin Inst. 207, 369
+        share = {"share": self.stays[name] / sum(self.stays.values())} if len(self.stays) > 1 else {}
+        return {
+            "material": powder.table.material, "diameter": _um(min(max(by_number, smallest), largest)),
+            "spread": max(math.exp(spread), 1.0), "smallest": _um(smallest), "largest": _um(largest),
+        } | share | powder.keys(("shapes", "files", *OF_PARTICLE))  # fmt: skip
+
+    @cached_property
+    def stays(self) -> Mapping[str, float]:
+        """Mass of each powder in the coatings over the mass that is fed: what sticks of a metal by the formula, and all of a ceramic.
+        If no metal sticks, all of each powder."""
+        each = {
+            name: powder.table.share * (1.0 if powder.metal.is_ceramic or not self.sticks else self.efficiency(name))
+            for name, powder in self.powders.items()
+        }
+        return {name: mass for name, mass in each.items() if mass > 0.0}
+
+    @cached_property
+    def medians(self) -> Mapping[str, float]:
+        """Median diameter (m) of the mass of each powder in the coatings: for a metal that of the mass that sticks by the formula."""
+        found = {}
+        for name in self.stays:
+            ratio, share = self.arrived[name].ratio / self.slant, self.arrived[name].share
+            stick = share[(ratio >= 1.0) & (ratio < EROSION)]
+            found[name] = self.powders[name].sizes.diameter(float(stick.mean()) if len(stick) else 0.5)
+        return found
+
+    @cached_property
+    def by_number(self) -> Mapping[str, float]:
+        """Fraction of each powder of the number of particles of a coating."""
+        each = {n: mass / (self.powders[n].flying.rho * self.medians[n] ** 3) for n, mass in self.stays.items()}
+        return {name: number / sum(each.values()) for name, number in each.items()}
+
+    @property
+    def room(self) -> float:
+        """Points of the smallest particle of a coating, at least."""
+        return max(powder.room for powder in self.powders.values())
+
+    def middle(self, points: int) -> dict[str, tuple[float, float, float]]:
+        """Smallest, median and largest diameter (m) of the particles of each powder in a coating. The range is the widest in which the
+        smallest particle has `room` points if the largest has `points`; if the medians are farther apart, each powder has one size."""
+        apart = math.sqrt(max(self.medians.values()) / min(self.medians.values()))
+        half = max((points / self.room) ** (1.0 / 6.0) / apart, 1.0)
+        least, most = ({n: self.powders[n].sizes.diameter(share) for n in self.medians} for share in (0.05, 0.95))
+        return {n: (max(D / half, least[n]), D, min(D * half, most[n])) for n, D in self.medians.items()}
 
     @cached_property
     def parts(self) -> tuple[Search | Coatings, ...]:
         """The computations of the job, the most important first."""
-        sets = [Search(base, 5000, strength=name) for base in self.bases for name in self.other_sets]
-        return (
-            *(Search(base, 5000) for base in self.bases), Coatings(1000, 0.9, 2, 2),
-            *(Search(base, 16000) for base in self.bases), *sets,
-            Coatings(1000, 1.2, 3, 4),
-            *(Search(base, 16000, 3, 0.05) for base in self.bases), Coatings(2000, 1.2, 3, 4),
-            *(Search(base, 40000, 3, 0.05) for base in self.bases), Coatings(2000, 1.6, 4, 6),
-        )  # fmt: skip
+        room, enough = math.ceil(self.room), min(LEAST_OF_EACH / min(self.by_number.values()), 0.99 * MOST_PARTICLES)
 
-    @cached_property
-    def reach(self) -> tuple[float, float]:
-        """Smallest and largest velocity of the powder, m/s. Each size counts with the velocity at which the median particle has the
-        same ratio of velocity to critical velocity by the formula."""
-        same = self.arrived.ratio.clip(max=FASTEST) * self.arrived.critical[len(self.arrived.share) // 2]
+        def search(points: int, placements: int = 1, tolerance: float = 0.1) -> list[Search]:
+            return [Search(*pair, max(points, room), placements, tolerance) for pair in self.hits]
+
+        def coatings(points: int, disc: float, layers: int, seeds: int) -> Coatings:
+            return Coatings(max(points, room), max(disc, math.sqrt(enough / layers / COVER)), layers, seeds)
+
+        sets = [replace(part, strength=name) for part in search(5000) for name in self.other_sets(part.powder)]
+        return tuple(dict.fromkeys((
+            *search(5000), coatings(1000, 0.9, 2, 2), *search(16000), *sets, coatings(1000, 1.2, 3, 4),
+            *search(16000, 3, 0.05), coatings(2000, 1.2, 3, 4), *search(40000, 3, 0.05), coatings(2000, 1.6, 4, 6),
+        )))  # fmt: skip
+
+    def reach(self, powder: str) -> tuple[float, float]:
+        """Smallest and largest velocity of a powder, m/s. Each size counts with the velocity at which the median particle has the same
+        ratio of velocity to critical velocity by the formula."""
+        at = self.arrived[powder]
+        same = at.ratio.clip(max=FASTEST) * at.critical[len(at.share) // 2]
         return math.floor(same.min()), math.ceil(same.max())
 
-    @property
-    def bases(self) -> tuple[str, ...]:
-        """Names of the metals that the powder hits: first the metal of the substrate, then the metal of the coating."""
-        return tuple(dict.fromkeys((self.data.substrate.material, self.data.powder.material)))
-
-    def _base(self, material: str, diameter: float, height: float) -> dict[str, object]:
-        K = f"{self.data.substrate.temperature:.6g} K"
-        return {"material": material, "diameter": _um(diameter), "height": _um(height), "temperature": K}
-
-    @property
-    def other_sets(self) -> list[str]:
-        """The strength sets of the powder other than its own."""
-        name = self.data.powder.material
+    def other_sets(self, powder: str) -> list[str]:
+        """The strength sets of a powder other than its own."""
+        name = self.powders[powder].table.material
         return sets_of(self.raw["materials"].get(name, {}), name)[1:]
 
     def _materials(self, *names: str) -> dict[str, dict[str, Any]]:
@@ -239,30 +353,50 @@ def from_text(text: str, path: Path, kind: type[JobData] = JobData) -> Job:
     known, of_nozzles = nozzles.from_tables(raw["nozzles"])
     problems += found + of_nozzles
     data, entries = read_table(kind, raw)
-    for entry in entries:
-        is_blend = entry["loc"] in (("coating",), ("powder",)) and entry["type"] != "missing"
-        problems.append(in_words(entry, False, kind) + BLEND * is_blend)
-    for table, key in (("powder", "material"), ("substrate", "material"), ("gas", "nozzle")):
-        name = raw[table].get(key) if isinstance(raw.get(table), dict) else None
-        if isinstance(name, str) and name not in (known if key == "nozzle" else metals):
-            text = nozzles.unknown(name[:40], known) if key == "nozzle" else materials.unknown(name[:40], metals)
-            problems.append(f'{table}.{key} = "{name[:40]}": {text}')
-    sizes = None
-    if data is not None:
+    given: list[Any] = raw["powder"] if isinstance(raw.get("powder"), list) else [raw.get("powder")]
+    problems += [in_words(entry, len(given) > 1, kind) for entry in entries]
+    for key, name in leaves({name: raw[name] for name in ("powder", "substrate", "gas") if name in raw}):
+        if not isinstance(name, str):
+            continue
+        if key.endswith(".material") and name not in metals:
+            problems.append(f'{key} = "{name[:40]}": {materials.unknown(name[:40], metals)}')
+        elif key == "gas.nozzle" and name not in known:
+            problems.append(f'{key} = "{name[:40]}": {nozzles.unknown(name[:40], known)}')
+    sizes = list[Sizes]()
+    keys = [f"powder[{k}]" if len(given) > 1 else "powder" for k in range(1, len(given) + 1)]
+    for key, powder in zip(keys, data.powders if data else (), strict=False):
         try:
-            sizes = sizes_of(data.powder.sizes, path.parent)
+            sizes.append(sizes_of(powder.sizes, path.parent))
         except ValueError as error:
-            problems.append(f'powder.sizes = "{data.powder.sizes}": {error}')
-    if problems or data is None or sizes is None:
+            problems.append(f'{key}.sizes = "{powder.sizes}": {error}')
+    if problems or data is None:
         raise SceneError(problems, str(path))
-    return Job(path.stem, raw, data, sizes, metals, known[data.gas.nozzle])
+    same = [" on ".join(powder.materials) for powder in data.powders]
+    names = [f"{name} {k}" if same.count(name) > 1 else name for k, name in enumerate(same, 1)]
+    powders = map(partial(_feed, metals), names, keys, given, data.powders, sizes)
+    return Job(
+        path.stem, path.parent, raw, data, dict(zip(names, powders, strict=True)), metals, known[data.gas.nozzle]
+    )
+
+
+def _feed(
+    metals: Mapping[str, Material], name: str, key: str, raw: dict[str, Any], table: Powder, sizes: Sizes
+) -> Feed:
+    shell = metals[table.material]
+    if table.core is None:
+        return Feed(name, key, raw, table, sizes, shell, shell)
+    core = metals[table.core.material]
+    share = table.core.share_by_volume(1.0, shell.rho, core.rho)
+    thinnest = min(0.5 * (1.0 - share ** (1.0 / 3.0)), share ** (1.0 / 3.0) / 3.0)  # shell or core, as `check` needs it
+    room = max(ROOM, 1.1 * math.pi / 6.0 / thinnest**3)
+    return Feed(name, key, raw, table, sizes, shell, materials.mixed(shell, core, share), room)
 
 
 def seconds(job: Job, part: Search | Coatings, takes: Callable[[Scene], float], cores: int) -> float:
     """Expected wall time of a round of a part on `cores` cores, s. A round is all impacts at one velocity, or all coatings.
     takes(scene): function that gives the processor time of a run, s."""
     if isinstance(part, Search):
-        runs, scene = part.placements, job.on(part.base, part.points, part.strength)
+        runs, scene = part.placements, job.on(part.powder, part.base, part.points, part.strength)
     else:
         runs, scene = part.seeds, job.coating(part, 1)
     return runs * (takes(scene) + START) / (PARALLEL * cores)

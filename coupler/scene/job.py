@@ -1,38 +1,49 @@
-"""The tables of a job: powder, gas and substrate in the terms of a process engineer, and the time for the computation."""
+"""The tables of a job: powders, gas and substrate in the terms of a process engineer, and the time for the computation."""
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, StrictFloat, field_validator
 
-from .coating import PowderSizes
-from .spray import GasConditions, GunPath, Track
-from .values import Quantity, Section, Temperature
+from .coating import Feedstock, PowderSizes, check_shares
+from .ground import Substrate
+from .spray import GasConditions, GunPath
+from .values import Quantity, Section
 
 
-class Powder(Section):
-    """The powder of a job. material: its metal; sizes: size distribution of its particles."""
+class Powder(Feedstock):
+    """A powder of a job. sizes: size distribution of its particles; share: its mass fraction in the feed, 0 to 1."""
 
-    material: str
     sizes: PowderSizes
+    share: StrictFloat = Field(1.0, gt=0.0, le=1.0)
 
-
-class Base(Section):
-    """The part to be coated, which counts as thick. temperature: temperature of its surface, K."""
-
-    material: str
-    temperature: Temperature = 300.0
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names of its materials: that of the surface, then that of the core."""
+        return (self.material,) if self.core is None else (self.material, self.core.material)
 
 
 class JobData(Section):
-    """All tables of a job, SI units. within: time that the computation may take on all cores, s."""
+    """All tables of a job, SI units. within: time that the computation may take on all cores, s. powders: one table [powder], or
+    tables [[powder]] of a blend. substrate: as in a scene; its diameter and height follow from the particles if it has none."""
 
     within: Annotated[float, Quantity("min", "1 s", "1000 h")] = 1800.0
-    powder: Powder
+    powders: tuple[Powder, ...] = Field(alias="powder")
     gas: GasConditions
-    spray: Track = Track()
-    substrate: Base
+    spray: GunPath = GunPath()
+    substrate: Substrate
     materials: dict[str, dict[str, object]] = Field(default_factory=dict)
     nozzles: dict[str, dict[str, object]] = Field(default_factory=dict)
+
+    @field_validator("powders", mode="before")
+    @classmethod
+    def _in_order(cls, value: object) -> object:
+        return value if isinstance(value, list | tuple) else [value]
+
+    @field_validator("powders")
+    @classmethod
+    def _adds_up(cls, value: tuple[Powder, ...]) -> tuple[Powder, ...]:
+        check_shares([powder.share for powder in value])
+        return value
 
 
 class TrackSpray(GunPath):
@@ -43,6 +54,6 @@ class TrackSpray(GunPath):
 
 
 class TrackData(JobData):
-    """All tables of a track: those of a job, with the path of the gun. SI units."""
+    """All tables of a track: those of a job, with the source of the deposition efficiency. SI units."""
 
     spray: TrackSpray = TrackSpray()

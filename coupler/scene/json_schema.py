@@ -38,12 +38,8 @@ def scene_schema() -> dict[str, Any]:
     schema["required"] = ["substrate"]
     tables["Coating"]["required"].remove("material")
     del tables["Share"]["required"][1:]
-    table = tables["Particle"]
-    table["required"].remove("velocity")
-    # the keys of the table and its array in one entry, without anyOf: an editor then marks only the wrong key
-    properties["particle"] |= {key: table[key] for key in ("properties", "required", "additionalProperties")} | {
-        "type": ["object", "array"], "minItems": 1, "items": {"$ref": "#/definitions/Particle"},
-    }  # fmt: skip
+    tables["Particle"]["required"].remove("velocity")
+    properties["particle"] |= _one_or_several("Particle", tables)
     return schema
 
 
@@ -52,10 +48,23 @@ def job_schema() -> dict[str, Any]:
     whole = JobData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a job of coldspray", "description": ""} | _draft_4(whole)
     tables = schema["definitions"]
-    for name, table in {"gas": "GasConditions", "spray": "Track", "substrate": "Base"}.items():
+    models = {"gas": "GasConditions", "spray": "GunPath", "substrate": "Substrate", "coating": "Powder"}
+    for name, table in models.items():
         for key, entry in tables[table]["properties"].items():
-            _described(f"{name}.{key}", entry)
+            _described("coating.powder.share" if key == "share" else f"{name}.{key}", entry)
+    for key in ("diameter", "height", "sides", "bottom"):  # follow from the particles
+        del tables["Substrate"]["properties"][key]["default"]
+    schema["properties"]["powder"] = _one_or_several("Powder", tables)
     return schema
+
+
+def _one_or_several(name: str, tables: dict[str, Any]) -> dict[str, Any]:
+    """The entry of a table that a file has once, or several times as an array. name: of its definition; tables: all definitions."""
+    table = tables[name]
+    # the keys of the table and its array in one entry, without anyOf: an editor then marks only the wrong key
+    return {key: table[key] for key in ("properties", "required", "additionalProperties")} | {
+        "type": ["object", "array"], "minItems": 1, "items": {"$ref": f"#/definitions/{name}"},
+    }  # fmt: skip
 
 
 def words(key: str) -> str:

@@ -11,7 +11,6 @@ from pydantic_core import ErrorDetails
 
 from .. import units
 from .model import SceneData
-from .spray import GunPath, Track
 from .values import read_table
 
 # of required fields; those of particle and substrate replace faulty ones while other fields are checked
@@ -22,6 +21,7 @@ _EXAMPLES: dict[str, dict[str, object]] = {
     "powder": {"material": "Cu", "sizes": "15-45 um"},
     "gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"},
 }
+_SEVERAL = "particle", "powder"  # tables that a file has once or several times
 # expected values, by pydantic's kinds of error
 _EXPECTED = {
     "float_type": "a number without unit or quotes", "int_type": "a whole number, without unit or quotes",
@@ -62,24 +62,20 @@ def covers(bad: str, field: str) -> bool:
 
 
 def dotted(loc: tuple[int | str, ...], several: bool) -> str:
-    """Name of a field in messages, with indices from 1: "particle[2].velocity". For a scene with one particle (`several` is False) it
-    is "particle.velocity"."""
-    parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] == "particle" and isinstance(p, int))]
+    """Name of a field in messages, with indices from 1: "particle[2].velocity". With one particle, or one powder of a job (`several`
+    is False), it is "particle.velocity"."""
+    parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] in _SEVERAL and isinstance(p, int))]
     text = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in parts)
     return text.removeprefix(".")
 
 
 def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneData) -> str:
-    """The message for an error of pydantic. several: whether the scene has several particles; whole: model of the file."""
+    """The message for an error of pydantic. several: whether the scene has several particles, or the job several powders; whole: model
+    of the file."""
     kind, loc = entry["type"], entry["loc"]
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
     model = _model_at(loc[:-1], whole)
     if kind == "extra_forbidden":
-        if model is Track and loc[-1] in GunPath.model_fields:
-            return (
-                f"{field}: the particles of a job fall normal to the surface, at the mean rate of the spot: leave it out, or give the"
-                " path of the gun to a scene with [coating], or to coldspray track"
-            )
         known = [info.alias or name for name, info in model.model_fields.items()]
         return f"{field}: unknown key{units.nearest(str(loc[-1]), known)}; known: {', '.join(known)}"
     if "offset" in loc and kind != "value_error":
@@ -96,11 +92,11 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
-        if loc in (("particle",), ("coating",)) or loc[:-1] == ("coating", "powder"):  # without the table
+        if loc in (("particle",), ("coating",), ("powder",)) or loc[:-1] in (("coating", "powder"), ("powder",)):
             return f"{field} {text}"
         return f"{start} {text}" if text.startswith(("is ", "has ", "needs ", "would ")) else f"{start}: {text}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
-        table = f"[[{loc[0]}]]" if several and loc[0] == "particle" else f"[{field}]"
+        table = f"[[{loc[0]}]]" if several and loc[0] in _SEVERAL else f"[{field}]"
         return f"{start}: expected a table {table}"
     if kind == "string_pattern_mismatch":
         return f"{start}: use letters, digits, '_', '.', '-', spaces (at most 64, a letter or digit first)"

@@ -35,7 +35,7 @@ class Spray:
 
     @property
     def critical(self) -> NDArray[np.float64]:
-        """Critical velocities (n,) of the powder's metal, m/s."""
+        """Critical velocities (n,) of the powder's metal, m/s; NaN for a ceramic."""
         return np.array([each.critical for each in self.formula], float)
 
     @property
@@ -78,8 +78,7 @@ def spray(
     fly: Callable[[Sequence[float]], list[Flight]],
     keys: tuple[str, str] = ("powder.material", "substrate.material"),
 ) -> Spray:
-    """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
-    (m); keys: of the two materials, for messages.
+    """A powder of a metal at impact. Arguments as in `at_impact`; keys: of the two materials, for messages.
 
     Raises ColdsprayError if a flight cannot be computed, the material has no critical velocity, or no metal bonds to the base.
     """
@@ -93,6 +92,14 @@ def spray(
             f"{keys[1]}: {base.name} is a {kind}: no metallic bond forms on it, so that there is no window of deposition; compute an"
             " impact on it by coldspray run"
         )
+    return at_impact(material, base, sizes, fly)
+
+
+def at_impact(
+    material: Material, base: Material | None, sizes: Sizes, fly: Callable[[Sequence[float]], list[Flight]]
+) -> Spray:
+    """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
+    (m). A ceramic has no critical velocity (NaN), and nothing of it sticks. Raises ColdsprayError if a flight cannot be computed."""
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -13,12 +13,11 @@ from matplotlib.figure import Figure
 from pydantic_core import to_json
 
 from .. import __version__
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, SceneError
 from ..files.inputs import read_json_object
 from ..files.outputs import MARK, claim_folder, keep_toml, write_text
 from ..files.result import Result
-from ..measures import STICKS
-from ..plan.job import Coatings, Job, Search, seconds
+from ..plan.job import Coatings, Feed, Job, Search, seconds
 from ..plan.reading import Scene
 from ..plan.text import duration
 from ..report import parts
@@ -28,7 +27,7 @@ from . import coating_files
 from .coating import read
 from .critical import Bracket
 from .job_numbers import BAND, Number, numbers, record
-from .job_parts import Bonds, Coating, bonds, coatings, efficiency, search
+from .job_parts import Bonds, Coating, Found, bonds, coatings, efficiency, search
 from .runs import Log
 from .trust import RULE
 
@@ -44,7 +43,8 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
     StoreError if the folder holds another job.
     """
-    sticks, end = job.arrived.fates()[STICKS] > 0.0, time.monotonic() + job.data.within
+    sticks, end = job.sticks, time.monotonic() + job.data.within
+    job.check()
     claim_folder(out, "job", FILES)
     keep_toml(out / FILES[0], text, "job", but=["within"])
     before: Any = read_json_object(out / RECORD).get("computed_s", {}) if (out / RECORD).exists() else {}
@@ -65,8 +65,12 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
         return SAFETY * rounds * pace[kind] * usual <= end - time.monotonic()
 
     for part in job.parts:
-        usual, kind = seconds(job, part, takes, jobs), type(part).__name__
         if isinstance(part, Coatings) and not sticks:
+            continue
+        try:
+            usual, kind = seconds(job, part, takes, jobs), type(part).__name__
+        except SceneError as error:  # its points do not resolve a powder
+            failed[part.words] = str(error)
             continue
         left[part.words] = part.rounds * pace[kind] * usual
         if part.words not in before and not more(0.0, part.rounds):
@@ -80,7 +84,7 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
                 more(time.monotonic() - begun)
             elif bracket := search(job, part, out, jobs, log, more):
                 found[part] = bracket
-                sticks |= efficiency(job.arrived, Bonds(part.base, "", bracket))[0] > 0.0
+                sticks |= efficiency(job.arrived[part.powder], Bonds(part.powder, part.base, "", bracket))[0] > 0.0
             else:
                 continue
         except ColdsprayError as error:
@@ -91,7 +95,7 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
     return write()
 
 
-def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Mapping[str, Bonds], coating: Coating) -> str:
+def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Found, coating: Coating) -> str:
     """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
     coating."""
     lines, sheet = numbers(job, found, coating), Page()
@@ -116,7 +120,7 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Mapping[s
     sheet.section("assumed", "Assumptions", parts.items(_assumed(job)))
     sheet.section("job", "The job", f"<pre>{escape(text)}</pre>")
     return sheet.html(
-        f"{job.data.powder.material} on {job.data.substrate.material}: does it stick?",
+        f"{' + '.join(job.powders)} on {job.surface}: does it stick?",
         escape(_conditions(job)),
         front,
         f"{MARK} {__version__}",
@@ -124,13 +128,20 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Mapping[s
 
 
 def _conditions(job: Job) -> str:
-    gas, part, D = job.data.gas, job.data.substrate, [1e6 * job.sizes.diameter(share) for share in (0.1, 0.5, 0.9)]
+    gas, part = job.data.gas, job.data.substrate
     texts = (
-        f"{job.data.powder.material}, D10 / D50 / D90 {' / '.join(f'{d:.0f}' for d in D)} µm",
+        *map(_powder, job.powders.values()),
         f"{gas.kind}, {gas.pressure / 1e5:.4g} bar, {gas.temperature - 273.15:.4g} °C",
-        f"nozzle {job.nozzle.name}, {1e3 * gas.standoff:.3g} mm", f"{part.material} at {part.temperature - 273.15:.4g} °C",
+        f"nozzle {job.nozzle.name}, {1e3 * gas.standoff:.3g} mm",
+        f"{' on '.join(part.materials)} at {part.temperature - 273.15:.4g} °C",
     )  # fmt: skip
     return " · ".join(texts)
+
+
+def _powder(powder: Feed) -> str:
+    D = " / ".join(f"{1e6 * powder.sizes.diameter(share):.0f}" for share in (0.1, 0.5, 0.9))
+    share = f" {powder.table.share:.0%} of the mass" if powder.table.share < 1.0 else ""
+    return f"{powder.name}{share}, D10 / D50 / D90 {D} µm"
 
 
 def _table(lines: Sequence[Number]) -> str:
@@ -143,7 +154,7 @@ def _table(lines: Sequence[Number]) -> str:
     return parts.table(("", "by formula", "computed", "trust", "how"), rows, stack=True)
 
 
-def _computed(known: dict[str, Any], found: Mapping[str, Bonds]) -> str:
+def _computed(known: dict[str, Any], found: Found) -> str:
     texts = [f"{words}: {duration(seconds)}" for words, seconds in known["computed_s"].items()]
     texts += [f"{each.folder}: {each.found.words}" for each in found.values()]
     how = "Each folder has the scene.toml of its run: coldspray report FOLDER shows a run, coldspray run computes its scene again."
@@ -157,39 +168,52 @@ def _assumed(job: Job) -> list[str]:
         "spot": f"{1e3 * track.spot:.3g} mm",
     }  # fmt: skip
     texts = [f"spray.{key} = {value}: an assumed value" for key, value in known.items() if key not in raw]
-    if isinstance(job.data.powder.sizes, tuple) and len(job.data.powder.sizes) == 2:
+    if any(isinstance(each.sizes, tuple) and len(each.sizes) == 2 for each in job.data.powders):
         texts.append("5 % of the powder's mass below and 5 % above the sieves, log-normal between them")
+    angle, has_ceramic = math.degrees(track.angle), any(powder.metal.is_ceramic for powder in job.powders.values())
+    oblique = (
+        f"gun at {angle:.3g} degrees: bonds are those of the oblique impact; in the formula the normal velocity counts"
+    )
+    blend = "after the first layer each metal hits its own; a coating has of each metal what sticks by the formula"
+    ceramic = "a ceramic makes no bond: by the formula nothing of it stays, in a coating what embeds and does not break"
     return [
-        *texts,
-        *job.flow.notes,
-        "particles are spheres, fall normal to the surface, and those of a coating all stay where they hit",
-    ]
+        *texts, *job.flow.notes, oblique if angle else "particles fall normal to the surface",
+        "bonds are those of spheres on a flat and thick base of one metal",
+        "metal particles of a coating all stay where they hit",
+        *[blend] * (len(job.powders) > 1), *[ceramic] * has_ceramic,
+    ]  # fmt: skip
 
 
-def window(job: Job, found: Mapping[str, Bonds]) -> Figure:
-    """Figure of velocity against diameter: the powder at impact, and the critical velocities of the pair of metals from the formula
-    and from computed bonds."""
-    spray, figure = job.arrived, blank(5.6, 3.9, 130, "constrained")
-    axis, D = figure.add_subplot(), 1e6 * spray.diameter
-    axis.plot(D, spray.velocity, "o-", color="k", ms=3, label="powder at impact (25 classes of equal mass)")
-    scale = spray.critical / spray.critical[len(D) // 2]
-    formula = {
-        job.data.substrate.material: [each.base_critical for each in spray.formula],
-        job.data.powder.material: [each.critical for each in spray.formula],
-    }
-
-    def curve(label: str, style: str, colour: str, v: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-        axis.plot(D, v, style, color=colour, label=f"critical, {label}")
-        axis.fill_between(D, low, high, color=colour, alpha=0.13, linewidth=0)
-
-    for colour, (name, critical) in zip(("#0072b2", "#d55e00"), formula.items(), strict=False):
-        v = np.array(critical, float)
-        curve(f"formula for {name}", "--", colour, v, (1 - BAND) * v, (1 + BAND) * v)
-    for colour, each in zip(("#009e73", "#cc79a7"), found.values(), strict=False):
-        low, high, above = *each.band, math.isinf(each.velocity)
-        v = scale * (low if above else each.velocity)
-        words = f"bonds on {each.base}" + ": above this line" * above
-        curve(words, ":" if above else "-", colour, v, scale * low, v if above else np.minimum(scale * high, 2.0 * v))
-    axis.set(xlabel="diameter (µm)", ylabel="velocity (m/s)", ylim=(0.0, None))
-    axis.legend(fontsize=7)
+def window(job: Job, found: Found) -> Figure:
+    """Figure of velocity against diameter, with an axis for each metal powder: this powder and the ceramics at impact, and its critical
+    velocities from the formula and from computed bonds."""
+    metals = {name: powder for name, powder in job.powders.items() if not powder.metal.is_ceramic}
+    figure = blank(5.6, 3.9 * len(metals), 130, "constrained")
+    for axis, (name, powder) in zip(figure.subplots(len(metals), squeeze=False).flat, metals.items(), strict=True):
+        spray, D = job.arrived[name], 1e6 * job.arrived[name].diameter
+        for other, at in job.arrived.items():
+            if other == name or other not in metals:
+                label, style = f"{other} at impact (25 classes of equal mass)", "o-" if other == name else "s:"
+                axis.plot(1e6 * at.diameter, at.velocity, style, color="k", ms=3, label=label)
+        scale = spray.critical / spray.critical[len(D) // 2]
+        formula = {
+            job.surface: [each.base_critical for each in spray.formula],
+            powder.table.material: [each.critical for each in spray.formula],
+        }
+        curves = list[Any]()  # label, style, colour, velocity, its least and greatest value
+        for colour, (metal, critical) in zip(("#0072b2", "#d55e00"), formula.items(), strict=False):
+            v = job.slant * np.array(critical, float)
+            curves.append((f"formula for {metal}", "--", colour, v, (1 - BAND) * v, (1 + BAND) * v))
+        own = [each for each in found.values() if each.powder == name]
+        for colour, each in zip(("#009e73", "#cc79a7"), own, strict=False):
+            low, high, above = *each.band, math.isinf(each.velocity)
+            middle = scale * (low if above else each.velocity)
+            most = middle if above else np.minimum(scale * high, 2.0 * middle)
+            words = f"bonds on {each.base}" + ": above this line" * above
+            curves.append((words, ":" if above else "-", colour, middle, scale * low, most))
+        for label, style, colour, v, low, high in curves:
+            axis.plot(D, v, style, color=colour, label=f"critical, {label}")
+            axis.fill_between(D, low, high, color=colour, alpha=0.13, linewidth=0)
+        axis.set(xlabel="diameter (µm)", ylabel="velocity (m/s)", ylim=(0.0, None))
+        axis.legend(fontsize=7)
     return figure

@@ -19,13 +19,15 @@ from .coating import read as read_coating
 from .runs import Log, results
 
 Range = tuple[float, float, float]  # value, least, greatest
+Found = Mapping[tuple[str, str], "Bonds"]  # by the names of powder and metal
 
 
 @dataclass(frozen=True)
 class Bonds:
-    """Critical velocity of the median particle on the metal `base`, from computed bonds. folder: folder of the runs; found: bracket;
-    error: resolution error, m/s, None if not measured; sets: bracket for each other strength set of the powder."""
+    """Critical velocity of the median particle of a powder on the metal `base`, from computed bonds. folder: folder of the runs; found:
+    bracket; error: resolution error, m/s, None if not measured; sets: bracket for each other strength set of the powder."""
 
+    powder: str
     base: str
     folder: str
     found: critical.Bracket
@@ -72,7 +74,8 @@ def search(
     particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
     `critical.search`. Returns None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no
     velocity can be computed."""
-    scene, (slowest, fastest), folder = job.on(part.base, part.points, part.strength), job.reach, out / part.folder
+    scene, folder = job.on(part.powder, part.base, part.points, part.strength), out / part.folder
+    slowest, fastest = job.reach(part.powder)
     for least in (slowest, fastest / EROSION):
         found, rows = critical.search(
             scene, folder, (least, fastest), part.tolerance, log, part.placements, jobs, start=fastest, more=more
@@ -84,18 +87,19 @@ def search(
     return found
 
 
-def bonds(job: Job, found: Mapping[Search, critical.Bracket]) -> dict[str, Bonds]:
-    """Critical velocity on each metal with its errors, by the name of the metal. found: brackets of all searches."""
+def bonds(job: Job, found: Mapping[Search, critical.Bracket]) -> dict[tuple[str, str], Bonds]:
+    """Critical velocity of each powder on each metal with its errors, by both names. found: brackets of all searches."""
     known = {}
-    for base in job.bases:
-        own = {part: each for part, each in found.items() if part.base == base and not part.strength}
+    for powder, base in job.hits:
+        of_pair = {part: each for part, each in found.items() if (part.powder, part.base) == (powder, base)}
+        own = {part: each for part, each in of_pair.items() if not part.strength}
         if not own:
             continue
         best = max(own, key=lambda part: (part.points, part.placements))
         coarser = {part.points: each for part, each in own.items() if part.points < best.points}
-        error = critical.resolution_error(job.on(base, best.points), own[best], coarser)
-        sets = {part.strength: each for part, each in found.items() if part.base == base and part.strength}
-        known[base] = Bonds(base, best.folder, own[best], error, sets)
+        error = critical.resolution_error(job.on(powder, base, best.points), own[best], coarser)
+        sets = {part.strength: each for part, each in of_pair.items() if part.strength}
+        known[powder, base] = Bonds(powder, base, best.folder, own[best], error, sets)
     return known
 
 
@@ -134,8 +138,17 @@ def sticking(spray: Spray, factor: float, low: float, high: float, on_substrate:
     return each[0], min(each), max(each)
 
 
-def thickness(job: Job, share: float, porosity: float) -> float:
-    """Mean thickness (m) of one pass over the width of the spray spot: feed rate times `share`, divided by density, (1 - porosity),
-    traverse speed and spot diameter."""
+def thickness(job: Job, stays: Mapping[str, Range], porosity: float) -> Range:
+    """Mean thickness (m) of one pass over the width of the spray spot: the sum over the powders of feed rate times the fraction that
+    stays, divided by density, (1 - porosity), traverse speed and width of the spot."""
     track = job.data.spray
-    return track.feed_rate * share / (job.metal.rho * (1.0 - porosity) * track.traverse_speed * track.spot)
+    layers = [
+        [
+            track.feed_rate * fed.table.share * x
+            / (fed.flying.rho * (1.0 - porosity) * track.traverse_speed * track.spot * job.slant)
+            for x in stays[name]
+        ]
+        for name, fed in job.powders.items()
+    ]  # fmt: skip
+    value, least, most = map(sum, zip(*layers, strict=True))
+    return value, least, most

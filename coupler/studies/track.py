@@ -35,7 +35,8 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
         spot, (angles, efficiency) = spot_of(path, folder), efficiency_of(job, path, folder)
     except ValueError as error:
         raise SceneError([f"spray.{error}"], job.name) from None
-    gun = Gun(spot, path.angle, path.feed_rate / (job.metal.rho * path.traverse_speed), angles, efficiency)
+    per_mass = sum(powder.table.share / powder.flying.rho for powder in job.powders.values())
+    gun = Gun(spot, path.angle, path.feed_rate * per_mass / path.traverse_speed, angles, efficiency)
     if not gun.efficiency_at(np.zeros(1))[0] > 0.0:
         at = f"{math.degrees(path.angle):.3g} degrees from the normal"
         raise SceneError([f"spray.efficiency: no powder sticks at {at}, so that there is no track"], job.name)
@@ -57,12 +58,14 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
 
 
 def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
-    """Angles of impact (n,) rad and the deposition efficiency (n,) at each. By the formula it is the share of the mass that sticks on
-    its own metal if the velocity normal to the surface has to reach the critical velocity: Li et al. (2003), Thermal Spray 2003, ASM,
-    91. Raises ValueError; the message begins with the name of the field."""
+    """Angles of impact (n,) rad and the deposition efficiency (n,) at each, by volume in a blend. By the formula it is the share that
+    sticks on its own metal if the velocity normal to the surface has to reach the critical velocity: Li et al. (2003), Thermal Spray
+    2003, ASM, 91. Raises ValueError; the message begins with the name of the field."""
     if path.efficiency is None:
         angle = np.arange(90.0)
-        share = np.array([job.arrived.fates(1.0 / math.cos(math.radians(a)))[STICKS] for a in angle])
+        volume = [powder.table.share / powder.flying.rho for powder in job.powders.values()]
+        each = [[at.fates(1.0 / math.cos(math.radians(a)))[STICKS] for a in angle] for at in job.arrived.values()]
+        share = np.average(each, axis=0, weights=volume)
     else:
         try:
             source = folder / path.efficiency

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from coupler.commands.main import main
-from coupler.errors import StoreError
+from coupler.errors import SceneError, StoreError
 from coupler.files.outputs import keep_toml
 from coupler.physics.adhesion import PairFormula
 from coupler.plan.job import Coatings, Job, Search, read
@@ -34,7 +34,7 @@ def spray_of(velocity: np.ndarray, critical: float = 400.0) -> Spray:
 
 
 def on(low: float | None, high: float | None, **more: object) -> Bonds:
-    return Bonds("Cu", "bonds/on_Cu/5000", Bracket(low, high), **more)
+    return Bonds("Cu", "Cu", "bonds/Cu_on_Cu/5000", Bracket(low, high), **more)
 
 
 def test_efficiency_is_the_share_of_the_mass_above_the_computed_critical_velocity() -> None:
@@ -69,13 +69,14 @@ def job(tmp_path: Path):
 
 def test_the_thickness_of_a_pass_keeps_the_mass(job) -> None:
     """30 g/min at 300 mm/s on a track of 6 mm: half of it, with a tenth of pores, per area of the track."""
-    layer = thickness(job, 0.5, 0.1)
-    assert layer * 0.9 * job.metal.rho * 6e-3 * 0.3 == pytest.approx(0.5 * 0.5e-3)
+    layer = thickness(job, {"Cu": (0.5, 0.4, 0.6)}, 0.1)
+    rho = job.powders["Cu"].metal.rho
+    assert [each * 0.9 * rho * 6e-3 * 0.3 for each in layer] == pytest.approx([0.25e-3, 0.2e-3, 0.3e-3])
 
 
 def test_formula_and_bonds_that_disagree_stand_first(job) -> None:
     """Copper flies at 1.6 times its critical velocity by the formula; bonds that tear up to 900 m/s say that nothing stays."""
-    found = {"Al6061": replace(on(900.0, None), base="Al6061"), "Cu": on(400.0, 420.0)}
+    found = {("Cu", "Al6061"): replace(on(900.0, None), base="Al6061"), ("Cu", "Cu"): on(400.0, 420.0)}
     lines = numbers(job, found, Coating({}, {}))
     said = answer(lines)
     assert said[0].startswith("Formula and computed bonds disagree. Share of the powder that sticks on Al6061: 100%")
@@ -113,6 +114,90 @@ def test_a_coating_has_the_stiffness_of_its_seeds_where_its_block_is_large_enoug
     assert lines.keys() - {line.label for line in numbers(job, {}, Coating(measures, {}))} == {
         "Young's modulus in the plane", "Heat conductivity across",
     }  # fmt: skip
+
+
+@pytest.fixture
+def blend(tmp_path: Path):
+    path = tmp_path / "blend.toml"
+    ceramic = '[[powder]]\nmaterial = "Al2O3"\nshare = 0.2\nsizes = "15-45 um"\n\n[gas]'
+    path.write_text(TEXT.replace("[powder]", "[[powder]]\nshare = 0.8").replace("[gas]", ceramic))
+    return read(path)
+
+
+def coated(*shares: float) -> Coating:
+    """Coatings in which these shares of the ceramic stay."""
+    values = dict.fromkeys(("porosity_open", "porosity_closed", "Sa_m", "stress_in_plane_Pa", "void_limit_m"), 0.0)
+    each = [
+        SimpleNamespace(**values, phases=[{"metal": "Al2O3", "efficiency": share, "broken": 2}]) for share in shares
+    ]
+    return Coating({f"coatings/{k}": measures for k, measures in enumerate(each)}, {})
+
+
+def test_a_blend_has_the_fed_and_the_deposited_share_of_each_powder(blend) -> None:
+    """By bonds all copper stays, of the alumina 5 to 15 % embeds: 0.2 x 0.1 of 0.82. By the formula nothing of the alumina stays."""
+    found = {("Cu", "Cu"): on(None, 500.0)}
+    lines = {line.label: line for line in numbers(blend, found, coated(0.05, 0.15))}
+    assert lines["Al2O3: Share of the powder that embeds"].values["formula"] == (0.0, 0.0, 0.0)
+    assert lines["Al2O3: Share of the powder that embeds"].values["computed"] == pytest.approx((0.1, 0.05, 0.15))
+    assert "Critical" not in " ".join(label for label in lines if label.startswith("Al2O3"))
+    assert lines["Al2O3: Share of the powder that embeds"].how.endswith("(4 broken)")
+    share = lines["Al2O3: Share of the mass of the coating"]
+    assert share.values["computed"] == pytest.approx((0.02 / 0.82, 0.01 / 0.81, 0.03 / 0.83))
+    assert share.values["formula"] == (0.0, 0.0, 0.0)
+    assert share.how == "20% of the mass that is fed"
+    assert lines["Cu: Share of the mass of the coating"].values["computed"][0] == pytest.approx(0.8 / 0.82)
+    said = answer(list(lines.values()))
+    assert (
+        "Al2O3: Share of the mass of the coating: 0% by the formula, 2% (1% to 4%) computed; 20% of the mass that is fed."
+        in said
+    )
+    layer, rho = lines["Thickness of one pass"].values, {n: blend.powders[n].metal.rho for n in blend.powders}
+    assert layer["formula"][0] * 6e-3 * 0.3 == pytest.approx(0.8 * 0.5e-3 / rho["Cu"])
+    assert layer["computed"][0] * 6e-3 * 0.3 == pytest.approx(0.8 * 0.5e-3 / rho["Cu"] + 0.02 * 0.5e-3 / rho["Al2O3"])
+
+
+def test_without_a_coating_the_share_of_a_ceramic_is_not_computed(blend) -> None:
+    lines = {line.label: line for line in numbers(blend, {("Cu", "Cu"): on(None, 500.0)}, Coating({}, {}))}
+    assert lines["Al2O3: Share of the powder that embeds"].values["computed"] is None
+    assert lines["Cu: Share of the mass of the coating"].values == {"formula": (1.0, 1.0, 1.0), "computed": None}
+
+
+def test_the_pages_say_each_powder_by_name(blend, tmp_path: Path) -> None:
+    found = {("Cu", "Cu"): on(500.0, 520.0)}
+    known = study.record(blend, {"computed_s": {}, "left_out_s": {}, "failed": {}}, found, Coating({}, {}))
+    assert known["powders"] == {"Cu": 0.8, "Al2O3": 0.2}
+    text = study.page(blend, TEXT, tmp_path, known, found, Coating({}, {}))
+    for said in ("Cu + Al2O3 on Al6061", "Cu 80% of the mass", "Al2O3 20% of the mass", "a ceramic makes no bond"):
+        assert said in text
+    labels = [line.get_label() for line in study.window(blend, found).axes[0].get_lines()]
+    assert {"Cu at impact (25 classes of equal mass)", "critical, bonds on Cu"} <= set(labels)
+    assert "Al2O3 at impact (25 classes of equal mass)" in labels
+
+
+def test_at_an_angle_the_formula_takes_the_normal_velocity(tmp_path: Path) -> None:
+    """At 60 degrees the critical velocities double, and the spot is twice as wide."""
+    path = tmp_path / "cu.toml"
+    path.write_text(TEXT.replace('spot = "6 mm"', 'spot = "6 mm"\nangle = "60 deg"'))
+    oblique = read(path)
+    path.write_text(TEXT)
+    normal = read(path)
+    label = "Critical velocity on Cu, after the first layer"
+    two, one = ({line.label: line for line in numbers(job, {}, Coating({}, {}))}[label] for job in (oblique, normal))
+    assert two.values["formula"] == pytest.approx([2.0 * v for v in one.values["formula"]])
+    all_stays = {"Cu": (1.0, 1.0, 1.0)}
+    assert thickness(oblique, all_stays, 0.0)[0] == pytest.approx(0.5 * thickness(normal, all_stays, 0.0)[0])
+    assert any("gun at 60 degrees" in text for text in study._assumed(oblique))
+
+
+def test_a_part_whose_points_do_not_resolve_a_powder_is_told_and_left_out(job, tmp_path, monkeypatch) -> None:
+    def seconds(job, part, *_) -> float:
+        raise SceneError(["particle.pore_diameter: not resolved"], "cu_on_Cu")
+
+    monkeypatch.setattr(study, "seconds", seconds)
+    monkeypatch.setattr(study, "page", lambda *_: "")
+    known = study.compute(job, TEXT, tmp_path / "out", lambda _: 1.0, 1, lambda _: None)
+    assert known["failed"].keys() == {part.words for part in job.parts}
+    assert known["computed_s"] == known["left_out_s"] == {}
 
 
 def test_a_folder_has_one_job_and_any_time(tmp_path: Path) -> None:
@@ -154,7 +239,7 @@ def searched(
 
     monkeypatch.setattr(critical, "rows_at", rows_at)
     monkeypatch.setattr(critical, "rows_of", lambda _: list(rows))
-    part = Search("Al6061", 1000)
+    part = Search("Cu", "Al6061", 1000)
     found = job_parts.search(job, part, tmp_path, 1, lambda _: None, lambda _: clock.now + 10.0 <= within)
     return found, [row["velocity_m_s"] for row in rows]
 
@@ -162,13 +247,13 @@ def searched(
 def test_no_velocity_is_computed_that_the_powder_does_not_reach(job, tmp_path, monkeypatch, clock) -> None:
     """It rebounds at all: the fastest and the slowest size decide, and the efficiency is zero."""
     found, velocities = searched(job, tmp_path, monkeypatch, clock, 900.0, 1e6)
-    assert velocities == [job.reach[1], job.reach[0]]
-    assert efficiency(job.arrived, Bonds("Al6061", "", found)) == (0.0, 0.0, 0.0)
+    assert velocities == [*reversed(job.reach("Cu"))]
+    assert efficiency(job.arrived["Cu"], Bonds("Cu", "Al6061", "", found)) == (0.0, 0.0, 0.0)
 
 
 def test_a_powder_that_sticks_is_searched_down_to_erosion(job, tmp_path, monkeypatch, clock) -> None:
     found, velocities = searched(job, tmp_path, monkeypatch, clock, 480.0, 1e6)
-    assert velocities[:2] == [job.reach[1], job.reach[0]]
+    assert velocities[:2] == [*reversed(job.reach("Cu"))]
     assert found.low < 480.0 <= found.high
     assert found.high - found.low <= 0.1 * found.velocity
 
@@ -201,9 +286,11 @@ def test_a_job_keeps_its_time_where_impacts_take_three_times_the_forecast(job, t
     monkeypatch.setattr(study, "page", lambda *_: "")
     known = study.compute(job, TEXT, tmp_path / "out", lambda _: 1.0, 1, lambda _: None)
     assert clock.now <= job.data.within
-    assert known["computed_s"]["bonds on Al6061 with 16000 points"] == pytest.approx(420.0)
-    assert known["left_out_s"]["bonds on Cu with 40000 points, 3 impacts at each velocity"] == pytest.approx(1500.0)
-    assert known["more_time"].startswith("more time would buy: bonds on Cu with 5000 points, ")
+    assert known["computed_s"]["bonds of Cu on Al6061 with 16000 points"] == pytest.approx(420.0)
+    assert known["left_out_s"]["bonds of Cu on Cu with 40000 points, 3 impacts at each velocity"] == pytest.approx(
+        1500.0
+    )
+    assert known["more_time"].startswith("more time would buy: bonds of Cu on Cu with 5000 points, ")
     assert known["more_time"].endswith("; 2 further parts")
 
 

@@ -77,8 +77,21 @@ def test_by_the_formula_only_the_normal_velocity_counts(tmp_path: Path) -> None:
     job = read(Path(__file__).parents[2] / "coupler/commands/templates/track.toml", TrackData)
     found = efficiency_of(job, job.data.spray, tmp_path)  # type: ignore[arg-type]
     for degrees in (0.0, 50.0, 60.0):
-        share = job.arrived.fates(1.0 / math.cos(math.radians(degrees)))[STICKS]
+        share = job.arrived["Cu"].fates(1.0 / math.cos(math.radians(degrees)))[STICKS]
         assert np.interp(math.radians(degrees), *found) == pytest.approx(share, abs=1e-9)
+
+
+def test_the_ceramic_of_a_blend_adds_nothing_to_a_track(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the formula. The area of one pass is that of the copper: 0.8 of the feed."""
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[2] / "coupler/commands/templates/track.toml").read_text()
+    ceramic = '[[powder]]\nmaterial = "Al2O3"\nshare = 0.2\nsizes = "15-45 um"\n\n[gas]'
+    Path("blend.toml").write_text(text.replace("[powder]", "[[powder]]\nshare = 0.8").replace("[gas]", ceramic))
+    assert main(["track", "blend.toml", "-q"]) == 0
+    known = json.loads(Path("runs/track-blend/track.json").read_text())
+    assert known["one pass"]["area_m2"] * 8960.0 * 0.1 == pytest.approx(0.8 * 30e-3 / 60.0, rel=2e-3)
 
 
 @pytest.mark.parametrize(
