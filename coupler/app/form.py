@@ -6,6 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
+from ..files.inputs import parse_toml
 from ..physics import materials
 from ..scene.toml import changed, texts
 from ..spray import nozzles
@@ -14,7 +15,7 @@ Entries = Mapping[str, Mapping[str, Any]]
 SLIDERS = {  # key -> least, greatest, step, unit
     "gas.pressure": (10, 70, 1, "bar"), "gas.temperature": (20, 1100, 10, "degC"), "gas.standoff": (10, 100, 5, "mm"),
 }  # fmt: skip
-_KEY = re.compile(r"[A-Za-z_]+(?:\.[A-Za-z_]+)*")
+_KEY = re.compile(r"[A-Za-z_]+(?:\[\d+\])?(?:\.[A-Za-z_]+)*")
 
 
 def entries_of(schema: Mapping[str, Any]) -> Entries:
@@ -28,6 +29,15 @@ def entries_of(schema: Mapping[str, Any]) -> Entries:
         elif name not in ("materials", "nozzles", "name"):
             found[name] = entry
     return found
+
+
+def numbered(key: str, text: str) -> list[str]:
+    """Return the keys of the fields for a key of the schema: of a powder one for each table [[powder]] of the text, such as
+    "powder[2].material"."""
+    given = parse_toml(text).get("powder")
+    if not (key.startswith("powder.") and isinstance(given, list)):
+        return [key]
+    return [key.replace("powder", f"powder[{k}]", 1) for k in range(1, len(given) + 1)]
 
 
 def placed(problems: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
@@ -45,7 +55,9 @@ class Form:
     table. on_change: function that is called after each change."""
 
     def __init__(self, text: str, entries: Entries, main: Sequence[str], on_change: Callable[[], Any]):
-        self.text, self.entries, self.on_change = text, entries, on_change
+        self.text, self.on_change = text, on_change
+        self.entries = entries = {field: entry for key, entry in entries.items() for field in numbered(key, text)}
+        main = [field for key in main for field in numbered(key, text)]
         self.first = texts(text, entries)
         self.fields: dict[str, Any] = {}
         self._grid(main)
@@ -60,7 +72,7 @@ class Form:
         ValueError."""
         now = {key: str(field.value or "").strip() for key, field in self.fields.items()}
         settings = [(k, now[k] or None) for k in now if now[k] != self.first.get(k, "")]
-        gone = {k.partition(".")[0] for k, value in settings if value is None and "." in k}
+        gone = {k.partition(".")[0] for k, value in settings if value is None and "." in k and "[" not in k}
         settings += [(t, None) for t in gone if not any(now[k] for k in now if k.startswith(f"{t}."))]
         return changed(self.text, settings)
 

@@ -29,7 +29,7 @@ RUNNING, QUEUED, STOPPED = "running", "queued", "stopped"  # states of a folder
 FINISHED, UNDECIDED, DAMAGED = "finished", "undecided", "damaged"
 RECENT = 60.0  # s: a run without a process of the page that has written since is computed elsewhere
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", re.ASCII)
-_OF_FILES = re.compile(r"library|(particle(\[\d+\])?|coating)\.files?|powder\.sizes")  # keys whose value may be a path
+_OF_FILES = re.compile(r"library|.+\.(files?|sizes|distribution|efficiency)")  # keys whose value may be a path
 
 
 @dataclass(frozen=True)

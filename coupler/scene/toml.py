@@ -104,8 +104,9 @@ def texts(text: str, keys: Iterable[str]) -> dict[str, str]:
     document, found = tomlkit.parse(text), {}
     for key in keys:
         item: Any = document
-        for step in key.split("."):
-            item = item.get(step) if isinstance(item, Mapping) else None
+        for name, number in _STEP.findall(key):
+            item = item.get(name) if isinstance(item, Mapping) else None
+            item = item[int(number) - 1] if number and isinstance(item, list) else item
         if item is not None:
             found[key] = str(item) if isinstance(item, str) else tomlkit.item(item).as_string().strip()
     return found

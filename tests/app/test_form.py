@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
-from coupler.app.form import entries_of, placed
-from coupler.app.looks import look
+from coupler.app.form import entries_of, numbered, placed
+from coupler.app.looks import as_csv, look
 from coupler.app.pages import INPUTS, _report
 from coupler.app.workspace import FINISHED, RUN, Row
 from coupler.scene.json_schema import job_schema, scene_schema
@@ -64,6 +64,22 @@ def test_a_job_is_answered_by_the_formula_as_it_is_typed(tmp_path):
     assert "Velocity at impact" in seen.numbers[0].label
     assert [len(figure["data"]) > 3 for figure in seen.drawn] == [True, True]
     assert len(seen.classes["share"]) == 25
+
+
+def test_each_powder_of_a_blend_has_its_fields_and_its_curves(tmp_path):
+    ceramic = '[[powder]]\nmaterial = "Al2O3"\nshare = 0.2\nsizes = "5-45 um"\n\n[gas]'
+    text = TEMPLATES["job"].replace("[powder]", "[[powder]]\nshare = 0.8").replace("[gas]", ceramic)
+    keys = [field for key in entries_of(job_schema()) for field in numbered(key, text)]
+    values = texts(text, keys)
+    assert values["powder[1].material"], values["powder[2].material"] == ("Cu", "Al2O3")
+    assert changed(text, list(values.items())) == text
+    seen = look(text, tmp_path / "x.toml", "", HERE)
+    assert [trace["name"] for trace in seen.drawn[0]["data"]][-1] == "Cu: 25 classes of equal mass"
+    assert len(seen.drawn) == 3  # a window of copper, two flights
+    assert as_csv(seen.classes).splitlines()[-1].startswith("Al2O3,0.98,")
+    wrong = changed(text, [("powder[2].material", "Al2O4")])
+    found = placed(look(wrong, tmp_path / "x.toml", "job", HERE).problems, keys)
+    assert "unknown material" in found["powder[2].material"]
 
 
 def test_a_report_is_written_again_when_the_properties_of_the_coating_come(tmp_path: Path) -> None:
