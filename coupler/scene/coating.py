@@ -41,19 +41,12 @@ _SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s
 SIZE_FORMS = (
     '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file with sizes'
 )
+_TEXTS = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3}
 #: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the name of a sizer's file.
 PowderSizes = Annotated[
     tuple[float, ...] | str,
     BeforeValidator(_read_sizes),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string"},
-                {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3},
-            ],
-            "description": SIZE_FORMS,
-        }
-    ),
+    WithJsonSchema({"anyOf": [{"type": "string"}, _TEXTS], "description": SIZE_FORMS}),
 ]
 
 

@@ -3,16 +3,7 @@
 import math
 from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    PrivateAttr,
-    StrictBool,
-    StrictFloat,
-    StrictInt,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationInfo, field_validator, model_validator
 
 from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
@@ -76,7 +67,7 @@ class Particle(Section):
     pore_diameter: PORE_DIAMETER = None
     pore_seed: StrictInt = Field(1, ge=0, le=2**31)
     core: Core | None = None
-    _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
+    _of_file: morphology.Form | None = None  # of diameter 1
 
     @model_validator(mode="after")
     def _file_of_shape(self) -> "Particle":

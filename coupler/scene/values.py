@@ -3,15 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    StrictFloat,
-    ValidationError,
-)
+from pydantic import BaseModel, ConfigDict, Field, StrictFloat, ValidationError
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
@@ -39,13 +31,13 @@ class Quantity:
             raise ValueError(f"is outside {self.low} to {self.high}")
         return number
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         def read(value: object) -> float | None:
             return None if self.auto and value == "auto" else self.read(value)
 
         return core_schema.no_info_plain_validator_function(read)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: object) -> JsonSchemaValue:
         text = units.pattern(units.dimension_of(self.unit)) + ("|^auto$" if self.auto else "")
         return {"type": "string", "pattern": text, "description": f"{self.low} to {self.high}", "unit": self.unit}
 
@@ -71,10 +63,10 @@ class BySize:
             raise ValueError("names a diameter twice: give one value for each diameter")
         return pairs
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: object) -> JsonSchemaValue:
         one, size = (q.__get_pydantic_json_schema__(schema, handler) for q in (self.of, DIAMETER))
         return {"anyOf": [one, {"type": "array", "items": {"type": "array", "items": [size, one]}}]}
 

@@ -7,6 +7,7 @@ together.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,10 +110,7 @@ def fly_together(
     of the nozzle. Raises ColdsprayError if a flight cannot be computed."""
     v_feed = flow.inside(-flow.nozzle.converging).u
     given, c_p = np.transpose(material.cp)
-
-    def cp(T: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.interp(T, given, c_p)
-
+    cp = partial(np.interp, xp=given, fp=c_p)
     return integrate(flow.pieces, flow.gas, material.rho, cp, diameters, v_feed, T_feed, drag)
 
 

@@ -232,33 +232,29 @@ class Flow:
         An estimate by continuity, as in Moeckel (1949), NACA TN 1921, for a layer of constant thickness: the mass of the jet leaves the
         layer over its rim at the speed of sound.
         """
-        before = self.outside(self.target)
-        M = before.u / self.gas.sound(before.T)
-        if not self.bow_shock or M <= 1:
+        before, g = self.outside(self.target), self.gas.gamma
+        if not self.bow_shock or before.u <= self.gas.sound(before.T):
             return 0.0
-        sonic = self._behind_shock(before)[1] * (2 / (self.gas.gamma + 1)) ** (1 / (self.gas.gamma - 1))
-        total = before.T + before.u**2 / (2 * self.gas.cp)
-        a = self.gas.sound(2 / (self.gas.gamma + 1) * total)
+        _, T, rho = self._at_rest
+        sonic = rho * (2 / (g + 1)) ** (1 / (g - 1)) * self.gas.sound(2 / (g + 1) * T)
         diameter = math.sqrt(4 / math.pi * self.mass_flow / (before.rho * before.u))
-        return diameter / 4 * before.rho * before.u / (sonic * a)
+        return diameter / 4 * before.rho * before.u / sonic
 
-    def _behind_shock(self, before: State) -> tuple[float, float]:
-        """Velocity behind a normal shock, m/s, and density that this gas has at rest, kg/m^3."""
-        g, M = self.gas.gamma, before.u / self.gas.sound(before.T)
-        M2, p2 = normal_shock(M, g)
-        rest = before.rho * before.T * p2 * pressure_ratio(M2, g)  # p / R
-        total = before.T + before.u**2 / (2 * self.gas.cp)
-        u2 = M2 * self.gas.sound(total / temperature_ratio(M2, g))
-        return u2, rest / total
+    @cached_property
+    def _at_rest(self) -> State:
+        """Velocity behind the bow shock; temperature and density of this gas at rest."""
+        before, g = self.outside(self.target), self.gas.gamma
+        M, p = normal_shock(before.u / self.gas.sound(before.T), g)
+        T = before.T + before.u**2 / (2 * self.gas.cp)
+        rho = before.rho * before.T * p * pressure_ratio(M, g) / T
+        return State(M * self.gas.sound(T / temperature_ratio(M, g)), T, rho)
 
     def stopped(self, x: float) -> State:
         """The gas at x (m) between bow shock and target. Its velocity decreases linearly to zero, without losses."""
-        before = self.outside(self.target)
-        u2, rest = self._behind_shock(before)
-        u = u2 * (self.target - x) / self.layer
-        total = before.T + before.u**2 / (2 * self.gas.cp)
+        behind, total, rho = self._at_rest
+        u = behind * (self.target - x) / self.layer
         T = total - u**2 / (2 * self.gas.cp)
-        return State(u, T, rest * (T / total) ** (1 / (self.gas.gamma - 1)))
+        return State(u, T, rho * (T / total) ** (1 / (self.gas.gamma - 1)))
 
     @property
     def target(self) -> float:
