@@ -5,7 +5,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +41,7 @@ _EXAMPLES = (
 )
 Table = dict[str, object]
 Settings = dict[str, object]  # key of a scene -> value
+Quantile = Callable[[float], object]  # fraction (0 to 1) -> value of a scene, as text with its unit or as number
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Sweep:
         data["scene"]: the scene as a table, or the name of its file, relative to `source`. data["points"]: keys of the scene, such as
         particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter,
         velocity and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key
-        (`distribution_of`). data["target"]: diameter and height of the target divided by the diameter of the particle, for a
+        (`quantile_of`). data["target"]: diameter and height of the target divided by the diameter of the particle, for a
         scene that gives no such sizes.
         """
         problems = [
@@ -173,7 +174,7 @@ def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
     """A list of (key with dots, value) for each value in nested tables. A distribution counts as one value."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
-        if isinstance(value, Mapping) and not Distribution.is_table(value):
+        if isinstance(value, Mapping) and not is_distribution(value):
             yield from _flat(value, f"{name}.")
         else:
             yield name, value
@@ -213,20 +214,25 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
     for key, (low, high) in limits.items():
         if not isinstance(number := numbers.get(key), int) or isinstance(number, bool) or not low <= number <= high:
             problems.append(f"ensemble.{key}: expected a whole number from {low} to {high}")
-    laws: dict[str, Sequence[Distribution]] = {}
+    laws: dict[str, Quantile | list[Quantile]] = {}
     for key, value in _flat({key: value for key, value in table.items() if key not in limits}):
         try:
-            laws[key] = list(map(distribution_of, value)) if isinstance(value, list) else (distribution_of(value),)
+            laws[key] = [*map(quantile_of, value)] if isinstance(value, list) else quantile_of(value)
         except ValueError as error:
             problems.append(f"ensemble.{key}: {error}")
     if problems or not laws:
         problems += [] if problems else ["ensemble: give a distribution for a key of the scene"]
         return []
-    every = [law for several in laws.values() for law in several]
+    # scrambled Halton sequence (Owen 2017, arXiv:1706.02808): a longer series begins with the shorter one
+    count, rng = int(str(numbers["runs"])), np.random.default_rng(int(str(numbers["seed"])))
+    dimensions = sum(len(law) if isinstance(law, list) else 1 for law in laws.values())
     settings = []
-    for row in map(iter, draws(every, int(str(numbers["runs"])), int(str(numbers["seed"])))):
-        drawn = ((key, [next(row) for _ in several], several) for key, several in laws.items())
-        settings.append({key: values if isinstance(several, list) else values[0] for key, values, several in drawn})
+    for row in map(iter, stats.qmc.Halton(dimensions, scramble=True, rng=rng).random(count).tolist()):
+        drawn = {
+            key: [each(next(row)) for each in law] if isinstance(law, list) else law(next(row))
+            for key, law in laws.items()
+        }
+        settings.append(drawn)
     return settings
 
 
@@ -249,39 +255,14 @@ def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
     return scene
 
 
-@dataclass(frozen=True)
-class Distribution:
-    """Distribution of one number of a scene, or a choice among values. kind: key in KINDS; numbers: values of its two parameters, SI;
-    unit: unit in which values are written, "" for plain numbers; limits: smallest and largest value, SI; values: values of a
-    choice."""
-
-    kind: str
-    numbers: tuple[float, float] = (0.0, 1.0)
-    unit: str = ""
-    limits: tuple[float, float] = (-np.inf, np.inf)
-    values: tuple[object, ...] = ()
-
-    @staticmethod
-    def is_table(table: Mapping[str, object]) -> bool:
-        """Whether a table describes a distribution (and not keys of a scene)."""
-        return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
-
-    def at(self, share: float) -> object:
-        """The quantile at the fraction `share` (0 to 1), as text with its unit or as number."""
-        if self.values:
-            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
-        a, b = self.numbers
-        law = stats.norm(a, b) if self.kind == "normal" else stats.uniform(a, b - a)
-        if self.kind == "log-normal":
-            law = stats.lognorm(np.log(b), scale=a)
-        low, high = map(law.cdf, self.limits)
-        value = float(law.ppf(low + share * (high - low)))
-        return units.rounded(value, self.unit, 6) if self.unit else float(f"{value:.6g}")
+def is_distribution(table: Mapping[str, object]) -> bool:
+    """Whether a table describes a distribution (and not keys of a scene)."""
+    return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
 
 
-def distribution_of(table: object) -> Distribution:
-    """Read a distribution: { mean, deviation }, { median, spread } (log-normal; spread: geometric standard deviation), { from, to } or
-    { values = [...] }. The first two may have limits `smallest` and `largest`. Raises ValueError."""
+def quantile_of(table: object) -> Quantile:
+    """The quantile function of a distribution: { mean, deviation }, { median, spread } (log-normal; spread: geometric standard
+    deviation), { from, to } or { values = [...] }. The first two may have limits `smallest` and `largest`. Raises ValueError."""
     kind = next(
         (k for k, keys in KINDS.items() if isinstance(table, Mapping) and all(key in table for key in keys)), None
     )
@@ -294,7 +275,7 @@ def distribution_of(table: object) -> Distribution:
         values = table["values"]
         if not isinstance(values, list) or not values:
             raise ValueError("values: expected a list")
-        return Distribution(kind, values=tuple(values))
+        return lambda share: values[min(int(share * len(values)), len(values) - 1)]
     numbers = {key: _number(key, table[key]) for key in known if key in table}
     found = {unit for key, (_, unit) in numbers.items() if key != "spread"}
     dimensions = {units.dimension_of(unit) if unit else "" for unit in found}
@@ -310,7 +291,16 @@ def distribution_of(table: object) -> Distribution:
     low, high = (numbers[key][0] if key in numbers else end for key, end in zip(LIMITS, (-np.inf, np.inf), strict=True))
     if not is_sound or low >= high:
         raise ValueError("smallest must be below largest" if is_sound else problem)
-    return Distribution(kind, (a, b), numbers[keys[0]][1], (low, high))
+    law = stats.norm(a, b) if kind == "normal" else stats.uniform(a, b - a)
+    if kind == "log-normal":
+        law = stats.lognorm(np.log(b), scale=a)
+    below, above, unit = law.cdf(low), law.cdf(high), numbers[keys[0]][1]
+
+    def quantile(share: float) -> object:
+        value = float(law.ppf(below + share * (above - below)))
+        return units.rounded(value, unit, 6) if unit else float(f"{value:.6g}")
+
+    return quantile
 
 
 def _number(key: str, value: object) -> tuple[float, str]:
@@ -322,10 +312,3 @@ def _number(key: str, value: object) -> tuple[float, str]:
         return units.parse(value, units.dimension_of(unit)), unit
     except (LookupError, ValueError):
         raise ValueError(f'{key}: expected a number, or a number with its unit, such as "600 m/s"') from None
-
-
-def draws(laws: Sequence[Distribution], count: int, seed: int) -> list[list[object]]:
-    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808), mapped by the quantiles of the distributions. A
-    longer series begins with the shorter one: an ensemble can be extended."""
-    shares = stats.qmc.Halton(len(laws), scramble=True, rng=np.random.default_rng(seed)).random(count)
-    return [[law.at(float(share)) for law, share in zip(laws, row, strict=True)] for row in shares]
