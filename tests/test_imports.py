@@ -50,7 +50,7 @@ ONE_PLACE = {
 }
 KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py")  # how their files end
 # Processor time, or MPI begun, which most runs do not need: imported where it is used
-HEAVY = {"open3d", "mpi4py", "scipy.integrate", "scipy.ndimage", "gmsh"}
+HEAVY = {"open3d", "mpi4py", "scipy.integrate", "scipy.ndimage", "scipy.optimize", "gmsh"}
 # Packages that a run can do without
 OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "pyvista", "pandas", "vtk"}
 FLAT = {"__init__", "__main__", "caches", "compiling", "errors", "units", "progress", "measures"}

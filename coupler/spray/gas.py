@@ -88,25 +88,18 @@ def mach(ratio: float, gamma: float, supersonic: bool) -> float:
     """Mach number where the flow area divided by the area of the throat is `ratio`: the inverse of `area_ratio`, on its subsonic or
     supersonic branch.
 
-    Raises ColdsprayError if ratio is below 1. Newton's method for the square root of log(area), which is nearly linear at the minimum
-    of the area; the start value is on the side without overshoot.
+    Raises ColdsprayError if ratio is below 1.
     """
+    from scipy.optimize import brentq
+
     if ratio < 1:
         raise ColdsprayError(
             f"area ratio {ratio:g}: must be 1 or more, because the throat is the narrowest section of the nozzle"
         )
-    wanted = math.sqrt(math.log(ratio))
-    if wanted < 1e-8:
+    if ratio < 1 + 1e-15:
         return 1.0
-    step = math.sqrt((gamma + 1) / 2) * wanted
-    M = 1 + step if supersonic else max(1 - step, area_ratio(1e-9, gamma) * 1e-9 / ratio)
-    for _ in range(60):
-        root = math.sqrt(max(math.log(area_ratio(M, gamma)), 0.0))
-        change = 2 * root * (root - wanted) * M * temperature_ratio(M, gamma) / (M**2 - 1)
-        M -= change
-        if abs(change) < 1e-13 * M:
-            break
-    return M
+    ends = (1.0, 1000.0) if supersonic else (1e-9, 1.0)
+    return float(brentq(lambda M: math.log(area_ratio(M, gamma) / ratio), *ends, xtol=1e-15))
 
 
 def normal_shock(M: float, gamma: float) -> tuple[float, float]:
@@ -273,14 +266,12 @@ class Flow:
     @property
     def notes(self) -> list[str]:
         """Notes on limits of validity of this flow, and on assumed values of its nozzle."""
-        notes, end = [], self.exit_pressure / self.ambient
-        if end < SEPARATES:
-            notes.append(
-                f"over-expanded: {self.exit_pressure / 1e5:.2g} bar at the exit, {self.ambient / 1e5:.3g} outside;"
-                f" below a ratio of {SEPARATES:g} a real flow separates from the wall in the nozzle, and particles are slower"
-            )
-        if self.standoff > self.core:
-            notes.append(
-                f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet is slower there"
-            )
-        return notes + ([f"assumed values of the nozzle: {self.nozzle.assumed}"] if self.nozzle.assumed else [])
+        ends = f"{self.exit_pressure / 1e5:.2g} bar at the exit, {self.ambient / 1e5:.3g} outside"
+        slow = f"below a ratio of {SEPARATES:g} a real flow separates from the wall in the nozzle, and particles are slower"
+        core = f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet is slower there"
+        notes = {
+            f"over-expanded: {ends}; {slow}": self.exit_pressure < SEPARATES * self.ambient,
+            core: self.standoff > self.core,
+            f"assumed values of the nozzle: {self.nozzle.assumed}": bool(self.nozzle.assumed),
+        }
+        return [note for note, applies in notes.items() if applies]
