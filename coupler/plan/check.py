@@ -53,10 +53,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         material = catalogue.get(body.material)
         if material is None:
             if f"materials.{body.material}" not in broken:  # otherwise the list has its problems
-                yield (
-                    (f"{where}.material",),
-                    f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}",
-                )
+                text = f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}"
+                yield (f"{where}.material",), text
         elif body.temperature > _HOTTEST * material.T_m:
             text = f"must be below {_HOTTEST:g} times the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
             field = f"{where.removesuffix('.core')}.temperature"
@@ -78,15 +76,12 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     yield from _resolution(d)
     asked = not isinstance(scene.effects, str) and {"gradient_hardening", "+gradient_hardening"} & set(scene.effects)
     if scene.resolution.engine == "machdyn" and asked:
-        yield (
-            ("resolution.engine", "effects"),
-            "resolution.engine = machdyn: it computes no gradients of plastic strain (gradient_hardening): use enriched or compiled",
-        )
+        text = "it computes no gradients of plastic strain (gradient_hardening): use enriched or compiled"
+        yield ("resolution.engine", "effects"), f"resolution.engine = machdyn: {text}"
     if asked and known and not any(metal.hardened_by_gradients for metal in known):
-        yield (
-            ("effects", *(f"materials.{metal.name}" for metal in known)),
-            f"effects: gradient_hardening needs taylor_alpha and burgers of {' or '.join(sorted({m.name for m in known}))}",
-        )
+        names = sorted({metal.name for metal in known})
+        text = f"effects: gradient_hardening needs taylor_alpha and burgers of {' or '.join(names)}"
+        yield ("effects", *(f"materials.{name}" for name in names)), text
     yield from _adhesion(d, catalogue)
     if scene.coating is None and (d.spray.passes or d.spray.angle):
         text = "spray.passes and spray.angle are for the particles of a table [coating]: give dwell and angle of each particle"
@@ -137,16 +132,12 @@ def _core(d: Derived, where: str, particle: Particle) -> Iterator[Problem]:
     size = core.share ** (1.0 / 3.0) * particle.diameter
     looked = (key, *(f"{where}.{name}" for name in _EXTENT), "preset", "resolution.spacing", "resolution.engine")
     if (wall := 0.5 * (particle.diameter - size)) <= 0.0:
-        yield (
-            looked,
-            f"{key}: a core of {_um(size)} leaves no shell in a particle of {_um(particle.diameter)}: give less",
-        )
+        text = f"a core of {_um(size)} leaves no shell in a particle of {_um(particle.diameter)}: give less"
+        yield looked, f"{key}: {text}"
     elif (least := min(wall, size / _CELLS_OF_PORE)) < d.spacing:
         part = f"core of {_um(size)}" if least < wall else f"shell of {_um(wall)}"
-        yield (
-            looked,
-            f"{key}: points {_um(d.spacing)} apart do not resolve a {part}: give resolution.spacing, {_um(least)} at most",
-        )
+        text = f"points {_um(d.spacing)} apart do not resolve a {part}: give resolution.spacing, {_um(least)} at most"
+        yield looked, f"{key}: {text}"
     if particle.shape == "hollow_sphere":
         yield (f"{where}.core", f"{where}.shape"), f'{where}.core: a particle with shape = "hollow_sphere" has no core'
     if d.scene.resolution.engine == "machdyn":
@@ -261,10 +252,8 @@ def _layers(d: Derived) -> Iterator[Problem]:
         yield _wrong("substrate.height", body.height, "um", text, "substrate.layer")
     shaped = [name for name in ("roughness", "groove", "step", "slope", "height_map") if dict(body)[name]]
     if body.layer and shaped:
-        yield (
-            ("substrate.layer", f"substrate.{shaped[0]}"),
-            f"substrate.{shaped[0]}: layers are flat: remove one of both",
-        )
+        field = f"substrate.{shaped[0]}"
+        yield ("substrate.layer", field), f"{field}: layers are flat: remove one of both"
 
 
 def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:

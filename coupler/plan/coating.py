@@ -3,9 +3,10 @@
 import glob
 import math
 import random
+from bisect import bisect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from statistics import NormalDist
 
@@ -170,9 +171,12 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     """A random particle of a powder. place: x, y (m) of its centre."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
-    off = _cut_normal(dice.random())
+    low = NormalDist().cdf(-_CUT)
+    off = NormalDist().inv_cdf(low + dice.random() * (1.0 - 2.0 * low))
     u, tilt = dice.random(), 180.0 * dice.random() - 90.0
-    shape = "file" if fed.files else _shape(table, u)
+    names = [name for name, share in table.shapes.items() if share > 0]
+    ends = [*accumulate(table.shapes[name] for name in names)]
+    shape = "file" if fed.files else names[min(bisect(ends, u * ends[-1]), len(names) - 1)]
 
     def at_size(pairs: Sequence[tuple[float, float]]) -> float:  # (diameter m, value)
         return float(np.interp(diameter, *np.array(pairs).T))
@@ -212,19 +216,3 @@ def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]
     if table.positions == "random" or not places:
         return anywhere()
     return max((anywhere() for _ in range(_CANDIDATES)), key=lambda p: min(math.dist(p, q) for q in places))
-
-
-def _cut_normal(u: float) -> float:
-    """The u-quantile of the standard normal distribution that is limited to the range from -_CUT to _CUT."""
-    low = NormalDist().cdf(-_CUT)
-    return NormalDist().inv_cdf(low + u * (1.0 - 2.0 * low))
-
-
-def _shape(table: PowderTable, u: float) -> str:
-    """The shape that belongs to the cumulative fraction u (0 to 1), in the order of the table."""
-    total = sum(table.shapes.values())
-    for name, share in table.shapes.items():
-        u -= share / total
-        if u < 0.0:
-            return name
-    return next(name for name in reversed(table.shapes) if table.shapes[name] > 0)

@@ -191,12 +191,6 @@ def step_time(steps: float, points: float, n_elements: float, engine: str) -> fl
     return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_POINT[engine] * points)
 
 
-def target_load(points: float, n_elements: float, engine: str) -> float:
-    """Cost of target and contact in a step, divided by the cost of the particle."""
-    own = SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points
-    return own / (SECONDS_PER_POINT[engine] * points)
-
-
 @dataclass(frozen=True)
 class Forecast:
     """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact two fractions of the wall time, before
@@ -217,19 +211,22 @@ def forecast(plan: Plan) -> Forecast:
     # elements of all bodies before each impact, substrate and splats
     met = list(accumulate((i.splat_elements for i in impacts[:-1]), initial=plan.target.elements_estimate))
     steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
-    looped, between, files, load, weight = list[float](), _between(plan, met), 0.0, 0.0, 0.0
+    looped, between, files, target, particle = list[float](), _between(plan, met), 0.0, 0.0, 0.0
     for n, impact, elements in zip(steps, impacts, met, strict=True):
         computed, points = _computed(plan, impact, elements), impact.points
         looped.append(step_time(n, points, computed, engine))
-        files += _file_bytes(impact, elements)
-        load += n * points * target_load(points, computed, engine)
-        weight += n * points  # proportional to the cost of the particle
+        target += n * (SECONDS_PER_ELEMENT * computed + SECONDS_PER_CONTACT_POINT * points)
+        particle += n * SECONDS_PER_POINT[engine] * points
+        # steps at regular times, at the greatest deformation and at the end; or only the end
+        every = max(impact.output_every, CHUNK * impact.dt_expected)
+        stored = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
+        places = points + VERTICES * points ** (2.0 / 3.0)
+        files += stored * (FILE_BYTES_PER_ELEMENT * elements + FILE_BYTES_PER_POINT * places)
     ends = list(accumulate(map(sum, zip(looped, between, strict=True)), initial=0.0))
     whole = ends[-1] + SECONDS_PER_RUN
     shares = [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)]
-    meshed = SECONDS_PER_MESHED_ELEMENT * plan.target.elements_estimate
-    time = sum(looped) + sum(between) + SECONDS_PER_RUN + meshed
-    return Forecast(steps, shares, time, memory(max(i.points for i in impacts), met[-1]), files, load / weight)
+    time = whole + SECONDS_PER_MESHED_ELEMENT * plan.target.elements_estimate
+    return Forecast(steps, shares, time, memory(max(i.points for i in impacts), met[-1]), files, target / particle)
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
@@ -257,12 +254,3 @@ def _between(plan: Plan, met: Sequence[int]) -> list[float]:
             time += PAUSE_STEPS * step + heat * (before + own)
         times.append(time if closed or not last else 0.0)
     return times
-
-
-def _file_bytes(impact: ImpactPlan, elements: int) -> float:
-    """Bytes of the stored fields of an impact: steps at regular times, at the greatest deformation and at the end; or only the
-    end."""
-    every = max(impact.output_every, CHUNK * impact.dt_expected)
-    steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
-    places = impact.points + VERTICES * impact.points ** (2.0 / 3.0)
-    return steps * (FILE_BYTES_PER_ELEMENT * elements + FILE_BYTES_PER_POINT * places)

@@ -155,8 +155,7 @@ class Derived:
         """The materials that a particle may hit, each with the highest temperature (K) of its bodies. At this temperature the
         material is softest."""
         hottest = dict.fromkeys(self.scene.substrate.materials, self.scene.substrate.temperature)
-        bodies = self.scene.particles[:-1]
-        for body in bodies:
+        for body in self.scene.particles[:-1]:
             hottest[body.material] = max(body.temperature, hottest.get(body.material, 0.0))
         return list(hottest.items())
 

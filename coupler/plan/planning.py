@@ -36,18 +36,24 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     """Make the plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: chosen from the adhesion; error:
     whether coarser runs measure the error. Raises SceneError for an unknown material."""
     target = _target(scene)
-    normals = [_normal(scene, particle, target) for particle in scene.particles]
+    normals = [
+        target.normal(each.offset, 0.5 * each.diameter, _velocity(each), scene.derived.gap_of(each))
+        for each in scene.particles
+    ]
     impacts = tuple(_impact(scene, i, normals) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.materials[0])
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
+    if not decided.absorbing_boundaries:  # no wave comes back in time: simple faces give the same result at lower cost
+        sides: Face = "free" if target.sides == "absorbing" else target.sides
+        target = replace(target, sides=sides, bottom="fixed" if target.bottom == "absorbing" else target.bottom)
     adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
         impacts=impacts,
         batches=batches_of(impacts, decided.cooling),
-        target=target if decided.absorbing_boundaries else _without_absorption(target),
+        target=target,
         adhesion=adhesion,
         splat_method=scene.splat.method,
         splat_element_size=scene.derived.splat_element_size,
@@ -82,11 +88,6 @@ def _settled(scene: Scene) -> dict[str, bool]:
 
 def _velocity(particle: Particle) -> Vector:
     return particle.velocity * math.sin(particle.angle), 0.0, -particle.velocity * math.cos(particle.angle)
-
-
-def _normal(scene: Scene, particle: Particle, target: TargetPlan) -> Vector:
-    """Upward unit normal of the bare ground where a particle meets it."""
-    return target.normal(particle.offset, 0.5 * particle.diameter, _velocity(particle), scene.derived.gap_of(particle))
 
 
 def _stays(scene: Scene, particle: Particle, normal: Vector) -> bool:
@@ -184,19 +185,10 @@ def _target(scene: Scene) -> TargetPlan:
     )  # fmt: skip
 
 
-def _without_absorption(target: TargetPlan) -> TargetPlan:
-    """The target with simple faces in place of absorbing ones: if no wave comes back in time, they give the same result at lower
-    cost."""
-    sides: Face = "free" if target.sides == "absorbing" else target.sides
-    return replace(target, sides=sides, bottom="fixed" if target.bottom == "absorbing" else target.bottom)
-
-
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
     """Input data for the choice of effects, by impact. Waves and heat of an impact also travel during later impacts."""
     usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
-    situations, left = [], sum(usual)
-    for impact, duration in zip(impacts, usual, strict=True):
-        distance = absorbing_distance(scene, impact.offset)
-        situations.append(Situation(scene, impact, base, distance, duration, left))
-        left -= duration
-    return situations
+    return [
+        Situation(scene, impact, base, absorbing_distance(scene, impact.offset), usual[i], sum(usual[i:]))
+        for i, impact in enumerate(impacts)
+    ]

@@ -1,7 +1,7 @@
 """Warnings about a scene, for `coldspray check` and for the summary of a run."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from .. import units
 from ..physics.materials import Material, fitted_at
@@ -19,32 +19,26 @@ EXPOSURE_POINTS = 12000
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
     """Distance (m) from a point at an offset (m) to the nearest absorbing face; infinite if there is no such face."""
-    distances = [math.inf]
-    if scene.substrate.sides == "absorbing":
-        distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
-    if scene.substrate.bottom == "absorbing":
-        distances.append(scene.substrate.height)
-    return min(distances)
+    body = scene.substrate
+    to_sides = body.diameter / 2 - math.hypot(*offset) if body.sides == "absorbing" else math.inf
+    return min(to_sides, body.height if body.bottom == "absorbing" else math.inf)
 
 
-def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided: Effects) -> list[str]:
+def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided: Effects) -> Iterator[str]:
     """Warnings about a scene: conditions outside the range of the models, and settings without effect."""
-    warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
-        warnings.append(text)
+        yield text
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points instead of {usual}"
-        warnings.append(f"the spacing is that for the smallest or thinnest particle: the largest has {points}")
+        yield f"the spacing is that for the smallest or thinnest particle: the largest has {points}"
     shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
-        warnings.append(
+        yield (
             f"output.every = {units.rounded(scene.output.every, 'ns')} is less than {CHUNK} time steps, some"
             f" {units.rounded(shortest, 'ns')}: fields are written every {CHUNK} time steps"
         )
     if scene.derived.element_size < scene.derived.spacing:
-        warnings.append(
-            "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"
-        )
+        yield "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"
     hot: dict[str, list[tuple[str, float]]] = {}  # particles and their temperatures (K), by metal
     for i, label in zip(impacts, scene.labels, strict=True):
         T = effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature
@@ -53,57 +47,57 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     for metal in {i.material.name: i.material for i in impacts if i.material.name in hot}.values():
         labels, reached = zip(*hot[metal.name], strict=True)
         several = ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
-        warnings.append(f"{several if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
+        yield f"{several if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}"
     if text := _hot(base, scene.substrate.temperature):
-        warnings.append(f"the target {text}")
+        yield f"the target {text}"
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
-        real = units.rounded(scene.derived.time_between, "ms")
-        warnings.append(
-            f"dwell = 0 us: each particle hits a target that the one before has heated; in the spray the time between impacts is {real}"
-        )
-    if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
-        warnings.append(text)
+        real = f"in the spray the time between impacts is {units.rounded(scene.derived.time_between, 'ms')}"
+        yield f"dwell = 0 us: each particle hits a target that the one before has heated; {real}"
+    if scene.coating is not None:
+        across = 2.0 * scene.coating.radius + sum(i.diameter for i in impacts) / len(impacts)
+        height = sum(i.diameter**3 for i in impacts) / (
+            1.5 * across**2
+        )  # volume of the particles over area of the disc
+        if height >= across:
+            heap = f"{units.rounded(across, 'um')} make a heap of {units.rounded(height, 'um')} height"
+            text = "and late particles slide down its flanks: give a larger coating.radius or fewer particles"
+            yield f"{len(impacts)} particles on a disc of {heap}, {text}"
     walls = [0.5 * (1.0 - i.core.share ** (1.0 / 3.0)) * i.diameter for i in impacts if i.core is not None]
     if len(impacts) > 1 and walls and min(walls) < (size := scene.derived.splat_element_size):
-        warnings.append(
+        yield (
             f"the elements of a splat, {units.rounded(size, 'um')}, are larger than the shell of {units.rounded(min(walls), 'um')}: the"
             " surface of its core is jagged; give a finer preset, or splat.element_size"
         )
     for name in sorted({m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if m.is_ceramic}):
-        warnings.append(
+        yield (
             f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"
             " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens; a"
             " core of it cracks there"
         )
     if base.is_polymer:
-        warnings.append(
-            f"no bond of metals forms on {base.name}, a polymer: the particle stays only if the polymer holds it"
-        )
+        yield f"no bond of metals forms on {base.name}, a polymer: the particle stays only if the polymer holds it"
     without = [i.material.name for i in impacts if i.material.sigma_TS is None and not i.material.is_ceramic]
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without and not base.is_polymer:
         name = without[0]
-        warnings.append(
+        yield (
             f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; give sigma_TS under"
             f' [materials.{name}], or adhesion.kind ("none" if it shall not bond)'
         )
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
-        warnings.append(
+        yield (
             f"{fewest} points per particle are too few for bonds by exposure: bonds are too weak, critical velocities are 6 to 10 %"
             ' too high with 5000 points, and with 1000 points there may be none; give preset = "fine"'
         )
     if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
-        warnings.append(
+        yield (
             "bonds by exposure without hardening by gradients of plastic strain (effect gradient_hardening; taylor_alpha and burgers of"
             " the metals): verdicts do not converge with the spacing, and nickel sticks at about 20 % lower"
             " velocities than with this effect"
         )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(absorbing_distance(scene, scene.particle.offset)):
-        warnings.append(
-            'absorbing_boundaries has no effect: no face of the substrate is absorbing (substrate.sides = "absorbing")'
-        )
-    return warnings
+        yield 'absorbing_boundaries has no effect: no face of the substrate is absorbing (substrate.sides = "absorbing")'
 
 
 def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
@@ -122,15 +116,3 @@ def _hot(material: Material, *reached: float) -> str:
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
-
-
-def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
-    """Warning about a coating that is higher than wide; "" for other coatings. radius: radius of the disc of particle centres, m."""
-    across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
-    height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # volume of the particles over area of the disc
-    if height < across:
-        return ""
-    return (
-        f"{len(impacts)} particles on a disc of {units.rounded(across, 'um')} make a heap of {units.rounded(height, 'um')} height,"
-        " and late particles slide down its flanks: give a larger coating.radius or fewer particles"
-    )

@@ -1,5 +1,6 @@
 """Particle shapes from files. Each file is read, cleaned and checked only once."""
 
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -37,17 +38,15 @@ def form_of(solid: Solid) -> Form:
     return Form("file", (a, b, c), float(thickness), tuple((float(p), float(q), float(r)) for p, q, r in hull))
 
 
-def read_forms(scene: SceneData) -> list[str]:
-    """Read the files of the scene's particles, and set the particles' forms. Returns the problems."""
-    problems = []
+def read_forms(scene: SceneData) -> Iterator[str]:
+    """Read the files of the scene's particles, and set the particles' forms. Yields the problems."""
     for label, particle in zip(scene.labels, scene.particles, strict=True):
         if particle.file is not None:
             try:
                 particle._of_file = form_of(load(Path(particle.file)))
             except ColdsprayError as error:
                 text = str(error)
-                problems.append(f"{label}.file: {text if particle.file in text else f'{particle.file}: {text}'}")
-    return problems
+                yield f"{label}.file: {text if particle.file in text else f'{particle.file}: {text}'}"
 
 
 def with_folders(raw: dict[str, object], source: str) -> None:
