@@ -69,7 +69,7 @@ class Store:
                 resume = f"continue it with coldspray resume {directory}"
                 raise StoreError(f"{directory} holds an unfinished run; {resume}, {ways}")
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
-            store = cls(directory, _lock(directory))
+            store = cls(directory, lock_folder(directory))
             try:
                 # the summary first: without it the new run counts as unfinished
                 for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in STORED)):
@@ -88,7 +88,7 @@ class Store:
         """Open the folder of an unfinished run. Raises StoreError if another run writes there, or it is not writable."""
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
-            return cls(directory, _lock(directory))
+            return cls(directory, lock_folder(directory))
 
     def state(self) -> StoreState:
         """The amount of data written so far, for `go_on`."""
@@ -225,12 +225,12 @@ def _line(cells: Iterable[str | float]) -> str:
     return ",".join(cell if isinstance(cell, str) else f"{cell:.10g}" for cell in cells) + "\n"
 
 
-def _lock(directory: Path) -> int | None:
+def lock_folder(directory: Path, wait: bool = False) -> int | None:
     """Lock the folder for this process; the system releases the lock when the process ends. Returns the descriptor, None on a file
-    system without locks."""
+    system without locks. wait: wait for a process that has locked it. Raises StoreError without `wait` if there is such a process."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         os.close(descriptor)
         raise StoreError(f"another run is writing to {directory}; choose {ELSEWHERE}") from None

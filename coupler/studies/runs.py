@@ -6,7 +6,6 @@ same command.
 """
 
 import contextlib
-import fcntl
 import json
 import os
 import signal
@@ -24,6 +23,7 @@ from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, parse_toml, read_json_object, read_text, read_toml
 from ..files.outputs import claim_folder, write_text
 from ..files.result import Result
+from ..files.store import lock_folder
 from ..plan.reading import Scene
 from ..plan.text import duration
 
@@ -148,7 +148,10 @@ def compute(scene: Path, threads: int = 1) -> dict[str, object]:
     if the run is stopped from outside: the next call continues it."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
-    _wait_for(folder)
+    if (
+        lock := lock_folder(folder, wait=True)
+    ) is not None:  # a run may outlive its study for some time, if that was killed
+        os.close(lock)
     with subprocess.Popen(_command(scene, folder, threads), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                           env=own_environment()) as run:  # fmt: skip
         _running.add(run)
@@ -166,18 +169,6 @@ def compute(scene: Path, threads: int = 1) -> dict[str, object]:
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
     write_text(scene.with_suffix(".json"), json.dumps(ended, indent=1) + "\n")
     return ended
-
-
-def _wait_for(folder: Path) -> None:
-    """Wait until no other process writes to the folder. A run may continue for some time after the main process of its study was
-    killed."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
-    except OSError:  # a file system without locks: as there
-        pass
-    finally:
-        os.close(descriptor)
 
 
 def _command(scene: Path, folder: Path, threads: int) -> list[str]:
