@@ -166,11 +166,6 @@ def add_quiet(option: Option) -> None:
     option("-q", "--quiet", action="store_true", help="print errors only")
 
 
-def add_verbose(option: Option, text: str) -> None:
-    """Add the option --verbose. text: help text."""
-    option("-v", "--verbose", action="store_true", help=text)
-
-
 @contextmanager
 def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
     """Context manager that shows the present work and its duration. text: name of the work; quiet: show nothing."""

@@ -7,10 +7,10 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from ..physics.materials import Material
+from ..errors import SceneError
+from ..files.inputs import read_text
+from ..files.outputs import MARK, claim_file, write_text
 
 COLUMNS = ("name", "A", "B", "n", "C", "m", "T_melt", "rho", "E", "nu", "source")  # required
 _OTHER_NAMES = {"T_melt": "T_m", "eps0_dot": "eps_dot_0"}  # column -> name of the parameter
@@ -23,10 +23,6 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.,:;/()=&+ -]+")
 def write_library(table: Path, out: Path, force: bool) -> list[str]:
     """Write the metals of a CSV table into a TOML file. Returns text lines about the metals. Raises SceneError with all problems, by
     row and column."""
-    from ..errors import SceneError
-    from ..files.inputs import read_text
-    from ..files.outputs import MARK, claim_file, write_text
-
     claim_file(out, (".toml",), [table], force)
     try:
         tables, lines = _read(read_text(table), str(table))
@@ -43,7 +39,6 @@ def write_library(table: Path, out: Path, force: bool) -> list[str]:
 
 def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[str]]:
     """Convert a CSV text to tables of a library (name -> values), and text lines about them."""
-    from ..errors import SceneError
     from ..physics.materials import UNITS, from_scene
 
     separator = max(",;\t", key=text.partition("\n")[0].count)
@@ -73,7 +68,11 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             # problems of the given columns come first: others may only follow from them
             found = [text for text in found if text.split()[0] in values] or found
             if not found:
-                lines.append(_line(catalogue[name], remark))
+                metal, law = catalogue[name], catalogue[name].strength
+                stress = f"flow stress {metal.flow_stress(0.2, 1e3, 300.0) / 1e6:.0f} MPa at 0.2 and 1e3 1/s"
+                elastic = f"E {metal.E / 1e9:.4g} GPa, melting {metal.T_m:g} K"
+                constants = f"A {law['A'] / 1e6:g} MPa, B {law['B'] / 1e6:g} MPa, {elastic}, {stress}"
+                lines.append(f"{metal.name}: {constants}" + (f"; {remark}" if remark else ""))
         tables[name] = values
         for key, _, problem in (text.partition(" ") for text in found):
             column = next((title for title, other in _OTHER_NAMES.items() if other == key), key)
@@ -120,11 +119,3 @@ def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object],
     remark = f"{' and '.join(lacks)} of {near.name}, the metal of the library nearest in density"
     note = "; ".join(str(text) for text in (values.get("note"), remark) if text)
     return {**values, **{key: numbers[key] for key in lacks}, "note": note}, remark
-
-
-def _line(metal: "Material", remark: str) -> str:
-    law, state = metal.strength, (0.2, 1e3, 300.0)
-    return (
-        f"{metal.name}: A {law['A'] / 1e6:g} MPa, B {law['B'] / 1e6:g} MPa, E {metal.E / 1e9:.4g} GPa, melting {metal.T_m:g} K,"
-        f" flow stress {metal.flow_stress(*state) / 1e6:.0f} MPa at 0.2 and 1e3 1/s" + (f"; {remark}" if remark else "")
-    )

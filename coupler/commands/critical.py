@@ -2,15 +2,9 @@
 
 import argparse
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from . import arguments as options
 from .arguments import Commands, continuing, jobs_of, quantity, remake, scene_of, share, study_folder, teller
-
-if TYPE_CHECKING:
-    from ..plan.reading import Scene
-    from ..studies.critical import Bracket, Row
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
 _LIMITS = "10 m/s", "2000 m/s"  # as of particle.velocity in a scene
@@ -48,16 +42,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise StoreError(f"--low {limits[0]:g} m/s must be less than --high {limits[1]:g} m/s")
     out, say = study_folder(arguments, scene, "critical", _NAMES), teller(arguments.quiet)
     about = f"{remake(arguments)} (finished runs are not computed again)"
-
-    def search(at: "Scene", folder: Path) -> "tuple[Bracket, list[Row]]":
-        return critical.search(at, folder, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
-
-    coarser: dict[int, Bracket] = {}
+    how = (limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
+    coarser = dict[int, critical.Bracket]()
     with continuing(out, say):
-        bracket, rows = search(scene, out)
+        bracket, rows = critical.search(scene, out, *how)
         for points in companions(scene) if scene.resolution.error and bracket.velocity else ():
             say(f"measuring the error of the resolution: the same search with {points} points")
-            coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
+            coarser[points] = critical.search(at_points(scene, points), out / f"{points}_points", *how)[0]
     error = critical.resolution_error(scene, bracket, coarser)
     critical.draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)

@@ -6,8 +6,11 @@ import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from ..errors import SceneError
+from ..files.inputs import read_toml
+from ..files.outputs import MARK, claim_file
 from .arguments import Commands, Option, add_command, add_force, path, remake
 
 if TYPE_CHECKING:
@@ -49,15 +52,15 @@ def add_conditions(option: Option) -> None:
 
 
 def add_library(option: Option) -> None:
-    """Add the option --library; `own_tables` evaluates it."""
+    """Add the option --library; `known` evaluates it."""
     option("--library", type=path, metavar="FILE", help="file (or scene) with your own metals and nozzles")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    spray = setup(arguments)
-    flow, material, diameters = spray.flow, spray.metals[arguments.material], spray.diameters
-    flights = spray.fly(material, diameters)
+    flow, metals, diameters, fly = setup(arguments)
+    material = metals[arguments.material]
+    flights = fly(material, diameters)
     print("\n".join(_table(flow, material, diameters, flights)))
     if arguments.csv:
         _write_csv(arguments, flow, diameters, flights)
@@ -66,30 +69,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-class Setup(NamedTuple):
-    """Input data of the commands `gas` and `window`. metals: metals by name; diameters (m); fly(metal, diameters): function that
-    computes the flights of particles."""
-
-    flow: "Flow"
-    metals: "dict[str, Material]"
-    diameters: list[float]
-    fly: "Callable[[Material, Sequence[float]], list[Flight]]"
-
-
-def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
+def setup(
+    arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter"
+) -> "tuple[Flow, dict[str, Material], list[float], Callable[[Material, Sequence[float]], list[Flight]]]":
     """Read the conditions from the options, and check that the files of --csv and --png can be written. command, sizes: names of the
-    command and of its option for diameters, for messages. Raises SceneError with all problems."""
-    from ..errors import SceneError
-    from ..files.outputs import claim_file
+    command and of its option for diameters, for messages. Returns the flow, the metals by name, the diameters (m), and the function
+    that computes the flights of particles of a metal and of diameters. Raises SceneError with all problems."""
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..scene.values import DIAMETER
     from ..spray.nozzles import unknown
 
-    nozzles = known_nozzles(arguments)
-    metals, of_metals = materials.from_scene(own_tables(arguments)["materials"])
-    if of_metals:
-        raise SceneError(of_metals, str(arguments.library))
+    metals, nozzles = known(arguments)
     for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
         if out is not None:
             claim_file(out, (suffix,), [arguments.library] if arguments.library else [], arguments.force)
@@ -110,30 +101,22 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     if problems or conditions is None:
         raise SceneError(problems, command)
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
-    return Setup(flow, metals, diameters, partial(scene_gas.flights, conditions, flow))
+    return flow, metals, diameters, partial(scene_gas.flights, conditions, flow)
 
 
-def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
-    """The nozzles of the library and of the file --library. Raises SceneError with all problems of the file."""
-    from ..errors import SceneError
+def known(arguments: argparse.Namespace) -> "tuple[dict[str, Material], dict[str, Nozzle]]":
+    """The metals and the nozzles of the library and of the file --library. Raises SceneError with all problems of the file."""
+    from ..physics import materials
+    from ..plan.own import with_library
     from ..spray import nozzles
 
-    known, problems = nozzles.from_tables(own_tables(arguments)["nozzles"])
-    if problems:
-        raise SceneError(problems, str(arguments.library))
-    return known
-
-
-def own_tables(arguments: argparse.Namespace) -> "dict[str, Any]":
-    """The tables `materials` and `nozzles` of the file --library. Raises SceneError with all problems of these tables."""
-    from ..errors import SceneError
-    from ..files.inputs import read_toml
-    from ..plan.own import with_library
-
     raw: dict[str, Any] = read_toml(arguments.library) if arguments.library else {}
-    if problems := with_library(raw, str(arguments.library)):
+    problems = with_library(raw, str(arguments.library))
+    metals, of_metals = materials.from_scene(raw["materials"])
+    known, of_nozzles = nozzles.from_tables(raw["nozzles"])
+    if problems := [*problems, *of_metals, *of_nozzles]:
         raise SceneError(problems, str(arguments.library))
-    return raw
+    return metals, known
 
 
 def shown(nozzle: "Nozzle") -> str:
@@ -182,7 +165,6 @@ def _at_exit(flow: "Flow", flight: "Flight") -> float:
 
 
 def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
-    from ..files.outputs import MARK
     from ..studies.table import write_rows
 
     head = f"{MARK} gas; {remake(arguments)}"

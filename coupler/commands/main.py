@@ -151,7 +151,8 @@ def _parser() -> argparse.ArgumentParser:
     text = "print the plan and the cost of a scene without computing it"
     option = options.add_command(commands, "check", _check, text)
     options.add_scene(option)
-    options.add_verbose(option, "print for each effect the number that decides it, and the change without the effect")
+    text = "print for each effect the number that decides it, and the change without the effect"
+    option("-v", "--verbose", action="store_true", help=text)
     option("--recalibrate", action="store_true", help="measure the speed of this machine again")
     option = options.add_command(commands, "run", _run, "compute a scene")
     options.add_scene(option)
@@ -200,7 +201,8 @@ def _parser() -> argparse.ArgumentParser:
 def _add_running(option: Option) -> None:
     """Add the options that `run` and `resume` share."""
     options.add_quiet(option)
-    options.add_verbose(option, "print all measures, not only those that converge with the resolution")
+    text = "print all measures, not only those that converge with the resolution"
+    option("-v", "--verbose", action="store_true", help=text)
     option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
     options.add_jobs(option, "simultaneous impacts in a batch, which share the threads; `check` prints the batches")

@@ -1,12 +1,9 @@
 """The command `coldspray map`: the table of a parameter sweep, and maps of its measures with their uncertainty."""
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import Any
 
 from .arguments import Commands, add_command, add_force, path, working
-
-if TYPE_CHECKING:
-    from ..studies.runs_table import Row
 
 QUANTITIES = (
     "flattening_ratio", "T_p99_K", "restitution", "velocity_ratio", "T_mean_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
@@ -72,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _table(arguments: argparse.Namespace) -> "tuple[list[Row], tuple[str, ...]]":
+def _table(arguments: argparse.Namespace) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The rows of the table of a folder, and the axes that the option --axes names."""
     from ..files.inputs import reading
     from ..studies import runs_table

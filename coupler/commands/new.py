@@ -8,8 +8,10 @@ from itertools import product
 from pathlib import Path
 
 from ..errors import ColdsprayError
+from ..files.inputs import SCENE_LIMIT, read_text
+from ..files.outputs import MARK, claim_file, write_text
 from .arguments import Commands, add_command, add_force, path
-from .gas import add_library, known_nozzles, shown
+from .gas import add_library, known, shown
 
 SCHEMA = "scene.schema.json"
 KINDS = {
@@ -56,8 +58,6 @@ def add(commands: Commands) -> None:
 
 def new(arguments: argparse.Namespace) -> int:
     """Write an example file and, for a scene, also the JSON schema. Returns the exit code."""
-    from ..files.outputs import claim_file, write_text
-
     kind, name = arguments.kind, arguments.name
     if arguments.list:
         print("\n".join(f"{each:14} {text}" for each, text in (KINDS | EXAMPLES).items()))
@@ -74,7 +74,10 @@ def new(arguments: argparse.Namespace) -> int:
     if kind == "mesh":
         text = _points(out.stem)
     elif kind in EXAMPLES:
-        text = _example(kind).replace(f"workflows/{kind}.toml", str(out))
+        # in the package of an installed wheel, or in the folder beside the package of a source tree
+        places = [folder / "workflows" / f"{kind}.toml" for folder in Path(__file__).parents[1:3]]
+        text = read_text(next((place for place in places if place.is_file()), places[1]), SCENE_LIMIT)
+        text = text.replace(f"workflows/{kind}.toml", str(out))
     else:
         text = (files(__package__) / "templates" / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", out.stem)
     write_text(out, text)
@@ -99,14 +102,12 @@ def shapes(arguments: argparse.Namespace) -> int:
 
 def nozzles(arguments: argparse.Namespace) -> int:
     """Print the nozzles of the library. Returns the exit code."""
-    print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments).values()))
+    print("\n\n".join(shown(nozzle) for nozzle in known(arguments)[1].values()))
     return 0
 
 
 def schema(arguments: argparse.Namespace) -> int:
     """Print the JSON schema of a scene, or writes it to a file. Returns the exit code."""
-    from ..files.outputs import claim_file, write_text
-
     text = _schema(arguments.of)
     if arguments.out is None:
         print(text, end="")
@@ -119,19 +120,10 @@ def schema(arguments: argparse.Namespace) -> int:
 
 
 def _schema(of: str = "scene") -> str:
-    from ..files.outputs import MARK
     from ..scene import json_schema
 
     schema = json_schema.job_schema() if of == "job" else json_schema.scene_schema()
     return json.dumps(schema | {"description": MARK}, indent=1, ensure_ascii=False) + "\n"
-
-
-def _example(name: str) -> str:
-    """The text of an example: from the package of an installed wheel, or from the folder beside the package in a source tree."""
-    from ..files.inputs import SCENE_LIMIT, read_text
-
-    inside, beside = (folder / "workflows" / f"{name}.toml" for folder in Path(__file__).parents[1:3])
-    return read_text(inside if inside.is_file() else beside, SCENE_LIMIT)
 
 
 def _points(name: str) -> str:

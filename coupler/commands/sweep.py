@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import ColdsprayError, StoreError
+from ..files.outputs import MARK, claim_folder
 from ..measures import UNDECIDED
 from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path, teller, working
 
@@ -46,8 +48,6 @@ def _slurm_option(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..core.executors import executor
-    from ..errors import ColdsprayError, StoreError
-    from ..files.outputs import claim_folder
     from ..studies.runs import of_another_scene, run_points
     from ..studies.sweep import Sweep
 
@@ -100,7 +100,6 @@ def _forecast(sweep: "Sweep", jobs: int) -> str:
 
 def summarise(sweep: "Sweep", out: Path) -> list[str]:
     """Write the table of all points and, for an ensemble, the distributions into a folder. Returns text lines."""
-    from ..files.outputs import MARK
     from ..studies import distribution, runs_table
 
     rows = [row for row in runs_table.table(out) if row["point"] in sweep.points]

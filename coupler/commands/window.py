@@ -2,10 +2,13 @@
 deposition efficiency."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import __version__
+from ..errors import SceneError
+from ..files.outputs import MARK
 from ..measures import REBOUNDS, STICKS
 from . import gas
 from .arguments import Commands, add_command, add_force, path, remake, share
@@ -33,30 +36,29 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    from ..errors import SceneError
     from ..spray import window
     from ..spray.sizes import Sizes
 
-    within, known = share(arguments.within, "--within"), gas.setup(arguments, "window", "--powder")
-    small, median, large = known.diameters
+    within = share(arguments.within, "--within")
+    flow, metals, (small, median, large), fly = gas.setup(arguments, "window", "--powder")
     if not small <= median <= large:
         order = "give three diameters in ascending order, D10 D50 D90"
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: {order}"], "window")
-    metal = known.metals[arguments.material]
-    base = known.metals[arguments.substrate] if arguments.substrate is not None else None
+    metal = metals[arguments.material]
+    base = metals[arguments.substrate] if arguments.substrate is not None else None
     sizes, keys = Sizes.of_quantiles(small, median, large), ("--material", "--substrate")
-    spray = window.spray(metal, base, sizes, lambda D: known.fly(metal, D), keys)
+    spray = window.spray(metal, base, sizes, partial(fly, metal), keys)
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:
         _write_csv(arguments, spray)
     if arguments.png:
-        draw(arguments.png, metal, median, spray, within, gas.conditions_of(known.flow))
+        draw(arguments.png, metal, median, spray, within, gas.conditions_of(flow))
     return 0
 
 
 def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
-    """Text lines: impact conditions at D10, D50 and D90, and the deposition efficiency with its range. within: relative uncertainty
-    of the critical velocity, 0 to 1."""
+    """Text lines: impact conditions at D10, D50 and D90, the deposition efficiency with its range, and the verdict on the substrate.
+    within: relative uncertainty of the critical velocity, 0 to 1."""
     from ..spray.flight import melting
 
     ratio = spray.ratio
@@ -71,7 +73,10 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
         if factor != 1.0:
             side = f"{abs(factor - 1.0):.0%} {'higher' if factor > 1.0 else 'lower'}"
             lines.append(f"  {word} within {within:.0%}, critical velocity {side}: {_efficiency(spray, factor)}")
-    return [*lines, _verdict(spray)]
+    median = spray.formula[len(ratio) // 2]
+    head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
+    shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
+    return [*lines, f"{head}: of the mass {shares}; median: {median.words(spray.velocity[len(ratio) // 2])}"]
 
 
 def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
@@ -86,16 +91,7 @@ def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
     )
 
 
-def _verdict(spray: "Spray") -> str:
-    """Text: mass fractions by verdict on the substrate, and the formula for the median particle."""
-    median = spray.formula[len(spray.formula) // 2]
-    head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
-    shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
-    return f"{head}: of the mass {shares}; median: {median.words(spray.velocity[len(spray.formula) // 2])}"
-
-
 def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
-    from ..files.outputs import MARK
     from ..studies.table import write_rows
 
     values = spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
