@@ -216,7 +216,8 @@ def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str
     return {key: None if key in reasons else value for key, value in values.items()}, reasons
 
 
-def axis_label(key: str) -> str:
-    """Short name and unit for an axis: "velocity (m/s)"."""
+def axis_label(key: str, whole: bool = False) -> str:
+    """Name and unit for an axis: "velocity (m/s)". whole: the name in tables, not the short one."""
     m = measure(key)
-    return f"{m.short} ({m.unit})" if m.unit else m.short
+    name = m.label if whole else m.short
+    return f"{name} ({m.unit})" if m.unit else name

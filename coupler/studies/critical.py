@@ -362,16 +362,13 @@ def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path, 
             if own:
                 at.scatter(*zip(*own, strict=True), marker=marker, color=colour, s=24, zorder=3,
                            label=verdict if at is left else f"{label}, {verdict}")  # fmt: skip
-        at.set_ylim(bottom=0.0)
-        at.set_xlabel("impact velocity in m/s")
+        at.set(xlabel="impact velocity in m/s", ylim=(0.0, None))
     left.set_ylabel("coefficient of restitution")
     right.set_ylabel("bonded area / cross section")
     for at in more:
         at.plot(*zip(*sorted(bracket.shares.items()), strict=True), "ko-", markersize=4, linewidth=0.8)
         at.axhline(0.5, color="0.6", linewidth=0.8, linestyle="--")
-        at.set_ylim(-0.05, 1.05)
-        at.set_xlabel("impact velocity in m/s")
-        at.set_ylabel("share of the placements that stick")
+        at.set(xlabel="impact velocity in m/s", ylabel="share of the placements that stick", ylim=(-0.05, 1.05))
     low, high = bracket.band
     for at in (left, right, *more):
         if bracket.velocity is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from ..measures import Measure, measure
+from ..measures import Measure, axis_label, measure
 from ..report.picture import blank, save
 from .runs_table import MEASURES, Row, errors_of
 from .table import write_rows
@@ -90,7 +90,7 @@ def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
         at.step(m.factor * spread.values, np.arange(1, n + 1) / n, where="post", color="k", linewidth=1.0)
         at.set_ylim(0.0, 1.02)
         at.margins(x=0.04)
-        at.set_xlabel(f"{m.label} ({m.unit})" if m.unit else m.label, fontsize=8)
+        at.set_xlabel(axis_label(m.key, whole=True), fontsize=8)
         at.tick_params(labelsize=7)
         if (place - 1) % columns == 0:
             at.set_ylabel("share of the runs below this value", fontsize=8)

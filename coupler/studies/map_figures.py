@@ -77,6 +77,9 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
                 figure = _plane(rows, axes, quantity)
             else:
                 figure = _lines(rows, axes, quantity)
+            bases = dict.fromkeys(row["substrate"] for row in maps.with_value(rows, quantity))
+            of_band = f": {m.label}" if len(figure.axes) > 2 else ""  # panels of a surface name only axes
+            figure.suptitle(f"{rows[0]['material']} on {', '.join(bases)}{of_band}", fontsize=11)
             save(figure, path)
     except StoreError as error:
         return [f"{head}: no map; {error}"]
@@ -158,8 +161,7 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
         if handle is not None and handle.get_label() in MARKERS:
             handle.set(edgecolor="k")
     _in_units(at.xaxis, x_axis)
-    at.set(xlabel=axis_label(x_axis), ylabel=_label(m))
-    figure.suptitle(_heading(rows, done), fontsize=11)
+    at.set(xlabel=axis_label(x_axis), ylabel=axis_label(quantity, whole=True))
     return figure
 
 
@@ -194,11 +196,10 @@ def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
     _points(at, rows, axes[0], axes[1], quantity, colours)
     at.set(xlabel=axis_label(axes[0]), ylabel=axis_label(axes[1]))
     bar = figure.colorbar(colours, ax=at)
-    bar.ax.set_ylabel(_label(m))
+    bar.ax.set_ylabel(axis_label(quantity, whole=True))
     if quantity in FORMULAS:
         bar.ax.axhline(1.0, color="k", linewidth=2.0)
     figure.legend(loc="outside lower left", ncols=5, fontsize=8, frameon=False)
-    figure.suptitle(_heading(rows, done), fontsize=11)
     return figure
 
 
@@ -232,7 +233,6 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
             at.set_title(shown(third[0], value) if value is not None else heading, fontsize=9)
     entries = dict(pair[::-1] for at in panels[:, 0] for pair in zip(*at.get_legend_handles_labels(), strict=True))
     figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, fontsize=8, frameon=False)
-    figure.suptitle(f"{_heading(rows, done)}: {MEASURES[quantity].label}", fontsize=11)
     return figure
 
 
@@ -311,15 +311,7 @@ def _scatter(
     at.scatter(x, y, linewidths=0.8, label=kind, zorder=3, clip_on=False, marker=MARKERS[kind], **style)
 
 
-def _heading(rows: Sequence[Row], done: Sequence[Row]) -> str:
-    return f"{rows[0]['material']} on {', '.join(dict.fromkeys(row['substrate'] for row in done))}"
-
-
 def _in_units(axis: Axis, key: str) -> None:
     """Label an axis, whose values are in SI, in the display unit of a measure."""
     factor = measure(key).factor
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v * factor:.4g}"))
-
-
-def _label(m: Measure) -> str:
-    return f"{m.label} ({m.unit})" if m.unit else m.label

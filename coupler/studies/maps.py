@@ -319,15 +319,13 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
             ratios = {round(row["keys"].get(key, 0.0) / row["diameter_m"], 6) for row in done}
             if len(ratios) == 1 and ratios != {0.0}:
                 changes[key] = ratios.pop() * at["diameter_m"]
-    for key, value in changes.items():
+    words = {"particle.material": near["material"]}
+    for key, value in sorted(changes.items()):  # diameter, then velocity, as a sweep
         unit = near["units"].get(key, "")
         set_key(data, key, units.show(value, unit) if unit else value)
-    text = toml_text(data)
-    words = {"particle.material": near["material"]}
-    for key in sorted(key for key in changes if KEYS.get(key, key) in at):  # diameter, then velocity, as a sweep
-        unit = near["units"].get(key, "")
-        words[key] = units.rounded(changes[key], unit, DIGITS) if unit else f"{changes[key]:.{DIGITS}g}"
-    run_point(folder, point := point_name(words), text)
+        if KEYS.get(key, key) in at:
+            words[key] = units.rounded(value, unit, DIGITS) if unit else f"{value:.{DIGITS}g}"
+    run_point(folder, point := point_name(words), toml_text(data))
     return point
 
 

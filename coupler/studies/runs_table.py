@@ -45,7 +45,7 @@ def table(folder: str | Path) -> list[Row]:
     names |= {path.stem for path in folder.glob("*.toml") if "particle" in _scene_of(path)}
     if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # the folder of a study
         raise StoreError(f"{folder} has no runs, but {inner} has: give that folder")
-    rows = [_readable_row(folder, name) for name in names]
+    rows = [_row(folder, name) for name in names]
     if not rows:
         raise StoreError(
             f"{folder} holds no points of a sweep and no runs: give the folder that holds the folders of runs"
@@ -53,21 +53,20 @@ def table(folder: str | Path) -> list[Row]:
     return sorted(rows, key=lambda row: (row["material"], *(row[axis] or 0.0 for axis in AXES[::-1]), row["point"]))
 
 
-def _readable_row(folder: Path, name: str) -> Row:
+def _row(folder: Path, name: str) -> Row:
     """The row of a point. If its files cannot be read, the point counts as failed."""
+    row = dict.fromkeys(COLUMNS) | {"point": name, "material": "", "substrate": "", "keys": {}, "units": {}}
     try:
         with reading(folder / name):
-            return _row(folder, name)
+            return row | {"status": "unfinished", "reason": ""} | _found(folder, name)
     except StoreError as error:
-        nothing = {"point": name, "material": "", "substrate": "", "status": "failed", "reason": str(error)}
-        return dict.fromkeys(COLUMNS) | nothing | {"keys": {}, "units": {}}
+        return row | {"status": "failed", "reason": str(error)}
 
 
-def _row(folder: Path, name: str) -> Row:
-    """The row of a point, from its status, plan and summary."""
-    scene, run = scene_file(folder, name), folder / name
-    row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": "", "keys": {}, "units": {}}
-    row |= _as_written(scene)
+def _found(folder: Path, name: str) -> Row:
+    """The values of a point, from its status, plan and summary."""
+    run = folder / name
+    row = _as_written(scene_file(folder, name))
     ended = how_ended(folder / f"{name}.json") or {}
     if ended.get("status") == "failed":
         return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}

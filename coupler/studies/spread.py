@@ -22,10 +22,7 @@ FRICTIONS = (0.0, round(1.0 / math.sqrt(3.0), 3))
 def other_frictions(scene: Scene) -> dict[str, str]:
     """The scenes (TOML) with each coefficient of FRICTIONS, by name, such as "friction 0". Empty if the effects of the scene exclude
     friction."""
-    data = tomllib.loads(scene.to_toml())
-    scenes = {
-        f"friction {mu:g}": Scene.from_dict({**data, "contact": {"friction": mu}}, scene.name) for mu in FRICTIONS
-    }
+    scenes = {f"friction {mu:g}": scene.with_(contact={"friction": mu}) for mu in FRICTIONS}
     if not any(plan(other).effects.friction for other in scenes.values()):
         return {}
     return {name: other.to_toml() for name, other in scenes.items() if other.contact.friction != scene.contact.friction}

@@ -91,14 +91,12 @@ class Sweep:
         if problems:
             raise SceneError(problems, source)
         is_ensemble = "ensemble" in data
-        settings = list(_ensemble(data["ensemble"], problems) if is_ensemble else _points(data["points"], problems))
+        settings = _ensemble(data["ensemble"], source) if is_ensemble else _points(data["points"], source)
         varied = tuple(dict.fromkeys(key for point in settings for key in point))
         if not is_ensemble:
             varied = tuple(key for key in varied if len({repr(point.get(key)) for point in settings}) > 1)
-        if not problems and not settings:
-            problems.append("points: there is no point; give a key of the scene and its values")
-        if problems:
-            raise SceneError(problems, source)
+        if not settings:
+            raise SceneError(["points: there is no point; give a key of the scene and its values"], source)
         scenes: dict[str, str] = {}
         refused: dict[str, str] = {}
         first: SceneError | None = None
@@ -180,17 +178,15 @@ def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
             yield name, value
 
 
-def _points(points: object, problems: list[str]) -> list[Settings]:
-    """The settings of each point, from a list of tables, or from all combinations of a table of lists."""
+def _points(points: object, source: str) -> list[Settings]:
+    """The settings of each point, from a list of tables, or from all combinations of a table of lists. Raises SceneError."""
     if isinstance(points, list):
         if not all(isinstance(point, Mapping) for point in points):
-            problems.append("points: expected tables [[points]], each with keys of the scene")
-            return []
+            raise SceneError(["points: expected tables [[points]], each with keys of the scene"], source)
         return [dict(_flat(point)) for point in points]
     if not isinstance(points, Mapping):
-        problems.append("points: expected a table [points] of lists")
-        return []
-    axes: dict[str, list[object]] = {}
+        raise SceneError(["points: expected a table [points] of lists"], source)
+    axes, problems = dict[str, list[object]](), list[str]()
     for key, values in _flat(points):
         listed = [values] if isinstance(values, str) else values
         if not isinstance(listed, list) or not listed:
@@ -200,16 +196,16 @@ def _points(points: object, problems: list[str]) -> list[Settings]:
     count = math.prod(map(len, axes.values()))
     if count > MOST_POINTS:
         problems.append(f"points: {count} combinations; at most {MOST_POINTS} are possible")
-        return []
+    if problems:
+        raise SceneError(problems, source)
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())] if axes else []
 
 
-def _ensemble(table: object, problems: list[str]) -> list[Settings]:
-    """The settings of each run of an ensemble, drawn from its distributions."""
+def _ensemble(table: object, source: str) -> list[Settings]:
+    """The settings of each run of an ensemble, drawn from its distributions. Raises SceneError with all problems."""
     if not isinstance(table, Mapping):
-        problems.append("ensemble: expected a table [ensemble]")
-        return []
-    limits = {"runs": (1, MOST_POINTS), "seed": (0, 2**31)}
+        raise SceneError(["ensemble: expected a table [ensemble]"], source)
+    limits, problems = {"runs": (1, MOST_POINTS), "seed": (0, 2**31)}, list[str]()
     numbers = {"seed": 1} | {key: table[key] for key in limits if key in table}
     for key, (low, high) in limits.items():
         if not isinstance(number := numbers.get(key), int) or isinstance(number, bool) or not low <= number <= high:
@@ -221,8 +217,7 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
         except ValueError as error:
             problems.append(f"ensemble.{key}: {error}")
     if problems or not laws:
-        problems += [] if problems else ["ensemble: give a distribution for a key of the scene"]
-        return []
+        raise SceneError(problems or ["ensemble: give a distribution for a key of the scene"], source)
     # scrambled Halton sequence (Owen 2017, arXiv:1706.02808): a longer series begins with the shorter one
     count, rng = int(str(numbers["runs"])), np.random.default_rng(int(str(numbers["seed"])))
     dimensions = sum(len(law) if isinstance(law, list) else 1 for law in laws.values())
