@@ -181,28 +181,22 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     def at_size(pairs: Sequence[tuple[float, float]]) -> float:  # (diameter m, value)
         return float(np.interp(diameter, *np.array(pairs).T))
 
-    particle: dict[str, object] = {
+    velocity, temperature, pored = table.velocity, table.temperature, table.pore_diameter is not None
+    values = {
         "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
         "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
+        "file": str(fed.files[int(u * len(fed.files))].absolute()) if fed.files else None,
+        "tilt": f"{tilt:.1f} deg" if shape != "sphere" else None,
+        "velocity": velocity and f"{at_size(velocity) + table.velocity_spread * off:.1f} m/s",
+        "temperature": temperature and f"{at_size(temperature):.1f} K",
+        "hardness": table.hardness and units.show(table.hardness, "HV"),
+        "yield_strength": table.yield_strength and units.show(table.yield_strength, "MPa"),
+        "porosity": table.porosity if pored else None,
+        "pore_diameter": table.pore_diameter and units.show(table.pore_diameter, "um"),
+        "pore_seed": int(2**31 * dice.random()) if pored else None,
+        "core": table.core and {"material": table.core.material, "share": table.core.share},
     }  # fmt: skip
-    if fed.files:
-        particle["file"] = str(fed.files[int(u * len(fed.files))].absolute())
-    if shape != "sphere":
-        particle["tilt"] = f"{tilt:.1f} deg"
-    if table.velocity is not None:
-        particle["velocity"] = f"{at_size(table.velocity) + table.velocity_spread * off:.1f} m/s"
-    if table.temperature is not None:
-        particle["temperature"] = f"{at_size(table.temperature):.1f} K"
-    if table.hardness is not None:
-        particle["hardness"] = units.show(table.hardness, "HV")
-    if table.yield_strength is not None:
-        particle["yield_strength"] = units.show(table.yield_strength, "MPa")
-    if table.pore_diameter is not None:
-        particle |= {"porosity": table.porosity, "pore_diameter": units.show(table.pore_diameter, "um")}
-        particle["pore_seed"] = int(2**31 * dice.random())
-    if table.core is not None:
-        particle["core"] = {"material": table.core.material, "share": table.core.share}
-    return particle
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:

@@ -3,8 +3,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
@@ -15,142 +14,108 @@ from .model import Decision, ImpactPlan
 from .reading import Scene
 
 
-@dataclass(frozen=True)
-class Situation:
-    """Input data for the choice of effects of one impact, SI units. base: metal of the substrate; side_distance: from the impact to
-    the nearest absorbing face, infinite if there is no such face; duration: longest time of this impact; end_time: sum of the
-    durations of this and all later impacts, the longest time that waves and heat travel."""
-
-    scene: Scene
-    impact: ImpactPlan
-    base: Material
-    side_distance: float
-    duration: float
-    end_time: float
-
-    @cached_property
-    def velocity(self) -> float:
-        """Impact velocity, m/s."""
-        return math.hypot(*self.impact.velocity)
-
-    @cached_property
-    def bodies(self) -> list[tuple[Material, float, float]]:
-        """For particle and target: material, temperature (K), and the rise of temperature (K) by `heating`."""
-        both = (self.impact.material, self.impact.temperature), (self.base, self.scene.substrate.temperature)
-        return [(m, T, heating(m, T, self.velocity)) for m, T in both]
-
-    @cached_property
-    def warm(self) -> float:
-        """Temperature rise by heating, divided by the difference to the melting point; the larger value of the two bodies."""
-        return max(dT / max(m.T_m - T, 1.0) for m, T, dT in self.bodies)
-
-    def diffusion(self, body: int, time: float) -> float:
-        """Diffusion length of heat, m, during a time (s). body: 0 for the particle, 1 for the target."""
-        return math.sqrt(diffusivity(*self.bodies[body][:2]) * time)
-
-    @cached_property
-    def in_target(self) -> float:
-        """Diffusion length of heat in the target, divided by the element size."""
-        return self.diffusion(1, self.end_time) / self.scene.derived.element_size
-
-    @cached_property
-    def in_particle(self) -> float:
-        """Diffusion length of heat in the particle, divided by the point spacing."""
-        return self.diffusion(0, self.duration) / self.impact.spacing
-
-    def recovered(self, m: Material, T: float, heated: float) -> float:
-        """Fraction of the dislocations that recover in the pause. It is the larger of two values: at T (K) during the whole pause, or
-        at T + heated during the cooling time of a splat."""
-        pause = self.impact.dwell
-        hot = min(pause, self.impact.diameter**2 / diffusivity(m, T))
-        return max(recovered_share(m, T, pause), recovered_share(m, min(T + heated, m.T_m), hot))
-
-    def of_both(self, number: Callable[[Material, float, float], float]) -> float:
-        """The larger of the values for the two bodies. number: function of material, temperature (K) and heating (K)."""
-        return max(number(*body) for body in self.bodies)
-
-    def flow_stress(self, m: Material, T: float) -> float:
-        """Flow stress at the rate of the impact and at T (K), at most at T_ref, Pa."""
-        return m.flow_stress(STRAIN_OF_FLOW, self.velocity / self.impact.diameter, min(T, m.T_ref))
-
-    def gradient_stress(self, m: Material) -> float:
-        """Stress of the dislocations due to a gradient of plastic strain of 10 / diameter, Pa."""
-        return stress_of_gradient(m.forest, m.gradient_length, 10.0 / self.impact.diameter)
-
-
-@dataclass(frozen=True)
-class Effect:
-    """One effect. number: name of the number that decides; value: function that gives the number of an impact; threshold: `auto`
-    switches the effect on if the number is larger."""
+class Effect(NamedTuple):
+    """One effect. number: name of the number that decides (`numbers`); threshold: `auto` switches the effect on if it is larger."""
 
     name: str
     number: str
-    value: Callable[[Situation], float]
     threshold: float = 0.0
 
 
 # Effects with a cost have a threshold above 0: below it no reflected wave has come back, the pause is too short for heat to leave the
 # splat, conduction changes no measure by more than 0.5 %, or recovery changes the hardening by less than 0.5 %.
 EFFECTS = (
-    Effect(
-        "thermal_softening", "heating or preheat / (T_m - T)",
-        lambda s: max(s.warm, s.of_both(lambda m, T, _: (T - m.T_ref) / (m.T_m - m.T_ref))),
-    ),
-    Effect(
-        "rate_hardening", "rise of flow stress at the rate v/D",
-        lambda s: s.of_both(lambda m, T, _: s.flow_stress(m, T) / m.flow_stress(STRAIN_OF_FLOW, 0.0, min(T, m.T_ref)) - 1.0),
-    ),
-    Effect(
-        GRADIENTS, "rise of flow stress by gradient 10/D",  # of a plastic strain that changes by 1 over a tenth of the diameter
-        lambda s: s.of_both(lambda m, T, _: math.hypot(1.0, s.gradient_stress(m) / s.flow_stress(m, T)) - 1.0),
-    ),
-    Effect("plastic_heating", "Taylor-Quinney coefficient", lambda s: s.of_both(lambda m, *_: m.taylor_quinney)),
-    Effect(
-        "temperature_dependent_cp", "relative change of cp",
-        lambda s: s.of_both(lambda m, T, dT: abs(m.cp_at(T + dT) / m.cp_at(T) - 1)),
-    ),
-    Effect(
-        "temperature_dependent_k", "change of k x diffusion length / size",
-        lambda s: s.of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)) * max(s.in_target, s.in_particle),
-    ),
-    Effect("friction", "friction coefficient", lambda s: s.scene.contact.friction),
-    Effect("friction_heat", "friction x heating / (T_m - T)", lambda s: s.scene.contact.friction * s.warm),
-    Effect(
-        "dissipation_heat", "heating / T, 0 if it could melt",  # in melt this heat accelerates the points without limit
-        lambda s: 0.0 if s.of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0 else s.of_both(lambda _, T, dT: dT / T),
-    ),
-    Effect("mie_gruneisen", "v / c0", lambda s: s.of_both(lambda m, *_: s.velocity / m.c0)),
-    Effect(
-        "thermal_expansion", "Gamma0 rho cp heating / K",
-        lambda s: s.of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
-    ),
-    Effect("adhesion", "number of splats that the scene bonds", lambda s: float(s.scene.derived.adhesion_law.kind != "none")),
-    Effect(
-        "absorbing_boundaries", "time / wave time to the side and back",
-        lambda s: s.end_time * s.base.wave_speed / (2 * s.side_distance), 1.0,
-    ),
-    Effect("conduction", "sqrt(alpha time) / size x warming", lambda s: s.in_target * s.warm, 0.05),
-    Effect("particle_conduction", "sqrt(alpha time) / spacing", lambda s: s.in_particle, 0.1),
-    Effect(
-        "interface_conduction", "sqrt(alpha time) / size, both",  # the side with less diffusion limits the heat flow
-        lambda s: min(s.diffusion(1, s.duration) / s.scene.derived.element_size, s.in_particle), 0.15,
-    ),
-    Effect(
-        "cooling", "sqrt(alpha dwell) / diameter",
-        lambda s: max(s.diffusion(k, s.impact.dwell) for k in (0, 1)) / s.impact.diameter, 0.05,
-    ),
-    Effect("recovery", "dislocations recovered in a pause", lambda s: s.of_both(s.recovered), 0.01),
-)  # fmt: skip
+    Effect("thermal_softening", "heating or preheat / (T_m - T)"),
+    Effect("rate_hardening", "rise of flow stress at the rate v/D"),
+    Effect(GRADIENTS, "rise of flow stress by gradient 10/D"),
+    Effect("plastic_heating", "Taylor-Quinney coefficient"),
+    Effect("temperature_dependent_cp", "relative change of cp"),
+    Effect("temperature_dependent_k", "change of k x diffusion length / size"),
+    Effect("friction", "friction coefficient"),
+    Effect("friction_heat", "friction x heating / (T_m - T)"),
+    Effect("dissipation_heat", "heating / T, 0 if it could melt"),
+    Effect("mie_gruneisen", "v / c0"),
+    Effect("thermal_expansion", "Gamma0 rho cp heating / K"),
+    Effect("adhesion", "number of splats that the scene bonds"),
+    Effect("absorbing_boundaries", "time / wave time to the side and back", 1.0),
+    Effect("conduction", "sqrt(alpha time) / size x warming", 0.05),
+    Effect("particle_conduction", "sqrt(alpha time) / spacing", 0.1),
+    Effect("interface_conduction", "sqrt(alpha time) / size, both", 0.15),
+    Effect("cooling", "sqrt(alpha dwell) / diameter", 0.05),
+    Effect("recovery", "dislocations recovered in a pause", 0.01),
+)
 
 
-def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
-    """The decision about each effect. situations: one for each impact; the largest number counts. settled: effects that the scene
+def numbers(
+    scene: Scene, impact: ImpactPlan, base: Material, side_distance: float, duration: float, end_time: float
+) -> dict[str, float]:
+    """The number of each effect in one impact, by the name of the effect. base: metal of the substrate; side_distance (m): from the
+    impact to the nearest absorbing face, infinite if there is no such face; duration (s): longest time of this impact; end_time (s):
+    sum of the durations of this and all later impacts, the longest time that waves and heat travel."""
+    velocity, friction, size = math.hypot(*impact.velocity), scene.contact.friction, scene.derived.element_size
+    both = (impact.material, impact.temperature), (base, scene.substrate.temperature)
+    bodies = [(m, T, heating(m, T, velocity)) for m, T in both]
+
+    def of_both(number: Callable[[Material, float, float], float]) -> float:
+        """The larger of the values for the two bodies. number: function of material, temperature (K) and heating (K)."""
+        return max(number(*body) for body in bodies)
+
+    def length(body: int, time: float) -> float:
+        """Diffusion length of heat, m, during a time (s). body: 0 for the particle, 1 for the target."""
+        return math.sqrt(diffusivity(*both[body]) * time)
+
+    def stress(m: Material, T: float, rate: float = velocity / impact.diameter) -> float:
+        return m.flow_stress(STRAIN_OF_FLOW, rate, min(T, m.T_ref))
+
+    def by_gradient(m: Material, T: float, _: float) -> float:
+        own = stress_of_gradient(
+            m.forest, m.gradient_length, 10.0 / impact.diameter
+        )  # the strain changes by 1 over a tenth
+        return math.hypot(1.0, own / stress(m, T)) - 1.0
+
+    def recovered(m: Material, T: float, heated: float) -> float:
+        """Fraction of the dislocations that recover in the pause. It is the larger of two values: at T (K) during the whole pause, or
+        at T + heated during the cooling time of a splat."""
+        hot = min(impact.dwell, impact.diameter**2 / diffusivity(m, T))
+        return max(recovered_share(m, T, impact.dwell), recovered_share(m, min(T + heated, m.T_m), hot))
+
+    warm = of_both(lambda m, T, dT: dT / max(m.T_m - T, 1.0))
+    in_target, in_particle = length(1, end_time) / size, length(0, duration) / impact.spacing
+    return {
+        "thermal_softening": max(warm, of_both(lambda m, T, _: (T - m.T_ref) / (m.T_m - m.T_ref))),
+        "rate_hardening": of_both(lambda m, T, _: stress(m, T) / stress(m, T, 0.0) - 1.0),
+        GRADIENTS: of_both(by_gradient),
+        "plastic_heating": of_both(lambda m, *_: m.taylor_quinney),
+        "temperature_dependent_cp": of_both(lambda m, T, dT: abs(m.cp_at(T + dT) / m.cp_at(T) - 1)),
+        "temperature_dependent_k": max(in_target, in_particle)
+        * of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)),
+        "friction": friction,
+        "friction_heat": friction * warm,
+        # in melt this heat accelerates the points without limit
+        "dissipation_heat": 0.0
+        if of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0
+        else of_both(lambda _, T, dT: dT / T),
+        "mie_gruneisen": of_both(lambda m, *_: velocity / m.c0),
+        "thermal_expansion": of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
+        "adhesion": float(scene.derived.adhesion_law.kind != "none"),
+        "absorbing_boundaries": end_time * base.wave_speed / (2 * side_distance),
+        "conduction": in_target * warm,
+        "particle_conduction": in_particle,
+        "interface_conduction": min(
+            length(1, duration) / size, in_particle
+        ),  # the side with less diffusion limits the heat flow
+        "cooling": max(length(k, impact.dwell) for k in (0, 1)) / impact.diameter,
+        "recovery": of_both(recovered),
+    }
+
+
+def decide(scene: Scene, each: Sequence[Mapping[str, float]], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
+    """The decision about each effect. each: the `numbers` of each impact, of which the largest counts; settled: effects that the scene
     sets itself; True means on."""
-    scene = situations[0].scene
     exposed = scene.derived.adhesion_law.criterion == "exposure" and scene.resolution.engine != "machdyn"
 
     def of(effect: Effect) -> Decision:
-        value = max(map(effect.value, situations))
+        value = max(values[effect.name] for values in each)
         on, why = value > effect.threshold, f"more than {effect.threshold:g}"
         if effect.name in settled:
             on, why = settled[effect.name], "set by the scene"

@@ -17,7 +17,6 @@ from ..scene.tables import Particle
 from . import cost as estimates
 from . import effects
 from .batches import batches_of
-from .effects import Situation
 from .gas import describe as describe_gas
 from .ground import ground_of
 from .model import ImpactPlan, Plan, SolidPlan, TargetPlan, Vector, towards
@@ -43,7 +42,12 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     impacts = tuple(_impact(scene, i, normals) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
     base = scene.derived.material(scene.substrate.materials[0])
-    decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
+    usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
+    numbers = [  # waves and heat of an impact also travel during later impacts
+        effects.numbers(scene, impact, base, absorbing_distance(scene, impact.offset), usual[i], sum(usual[i:]))
+        for i, impact in enumerate(impacts)
+    ]
+    decisions = effects.decide(scene, numbers, _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
     if not decided.absorbing_boundaries:  # no wave comes back in time: simple faces give the same result at lower cost
         sides: Face = "free" if target.sides == "absorbing" else target.sides
@@ -183,12 +187,3 @@ def _target(scene: Scene) -> TargetPlan:
         ground_of(body, d.element_size),
         tuple((d.material(layer.material), layer.thickness) for layer in body.layer),
     )  # fmt: skip
-
-
-def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
-    """Input data for the choice of effects, by impact. Waves and heat of an impact also travel during later impacts."""
-    usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
-    return [
-        Situation(scene, impact, base, absorbing_distance(scene, impact.offset), usual[i], sum(usual[i:]))
-        for i, impact in enumerate(impacts)
-    ]

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import cast
 
 from ..errors import SceneError
-from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_text, similar
+from ..files.inputs import SCENE_LIMIT, InputError, leaves, line_of, parse_toml, read_text, similar
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
-from ..scene.model import SceneData, coating_tables, particle_tables, safe_name
+from ..scene.model import SceneData, safe_name
 from ..scene.tables import Particle
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
 from ..scene.values import Section, read_table
@@ -130,7 +130,9 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     own = {name for kind in KINDS if isinstance(tables := raw.get(kind), dict) for name in tables}
     problems = with_library(raw, source)
     tables = cast(dict[str, dict[str, object]], raw["materials"])
-    catalogue, material_problems = materials.from_scene(tables, *_strength_of(raw))
+    strength = raw.get("strength")
+    used = {str(value) for key, value in leaves(raw) if key.rpartition(".")[2] == "material"}
+    catalogue, material_problems = materials.from_scene(tables, strength if isinstance(strength, str) else "", used)
     raw.setdefault("name", safe_name(source))
     drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
@@ -182,17 +184,6 @@ def _set_defaults(raw: dict[str, object]) -> None:
         raw["end"] = {**end, "at": "cold"}
     if isinstance(adhesion := raw.get("adhesion"), dict) and adhesion.get("criterion") == "exposure":
         raw.setdefault("preset", "fine")
-
-
-def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
-    """The key `strength` of a scene of nested dicts, and the names of the scene's metals."""
-    strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), *coating_tables(raw)]
-    substrate = raw.get("substrate")
-    layers = substrate.get("layer") if isinstance(substrate, dict) else None
-    bodies += layers if isinstance(layers, list) else []
-    bodies += [body["core"] for body in bodies if isinstance(body, dict) and "core" in body]
-    used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
-    return strength if isinstance(strength, str) else "", used
 
 
 def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:

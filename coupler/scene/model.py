@@ -79,13 +79,6 @@ def particle_tables(raw: Mapping[str, object]) -> list[dict[str, object]]:
     return [each for each in (particles if isinstance(particles, list) else [particles]) if isinstance(each, dict)]
 
 
-def coating_tables(raw: Mapping[str, object]) -> list[object]:
-    """The table [coating] of a scene of nested dicts, and the tables of its powders."""
-    coating = raw.get("coating")
-    powders = coating.get("powder") if isinstance(coating, dict) else None
-    return [coating, *(powders if isinstance(powders, list) else [])]
-
-
 def safe_name(source: str) -> str:
     """The stem of a file name with only letters, digits, '_', '.', '-' and spaces; other characters become '_'."""
     stem = re.sub(r"[^A-Za-z0-9_. -]", "_", Path(source).stem, flags=re.ASCII)[:64].lstrip("_. -")
