@@ -217,6 +217,11 @@ def _run(workspace: Workspace, name: str) -> None:
                 report.props(f'src="{address}"').set_visibility(bool(address))
                 tab.props(f'href="{address}"').set_visibility(bool(address))
 
+    async def copy() -> None:
+        if text := await tried(_copied, workspace, name):
+            page = "/job" if "[powder]" in text else "/coating" if "[coating]" in text else "/impact"
+            ui.navigate.to(f"{page}?copy={quote(name, safe='')}")
+
     async def act(action: Callable[..., Any], *arguments: Any) -> None:
         await tried(action, *arguments)
         await refresh()
@@ -230,7 +235,7 @@ def _run(workspace: Workspace, name: str) -> None:
                 ui.button("Stop", icon="stop", on_click=lambda: act(workspace.stop, folder))
             if row.state in (STOPPED, UNDECIDED):
                 ui.button("Go on", icon="play_arrow", on_click=lambda: act(workspace.go_on, folder))
-            ui.button("Copy scene", icon="content_copy", on_click=lambda: _copy(workspace, name)).props("flat")
+            ui.button("Copy scene", icon="content_copy", on_click=copy).props("flat")
             if row.state == FINISHED and row.kind == COATING:
                 measure = ("coating", str(folder))
                 ui.button("Measure coating", on_click=lambda: act(workspace.call, *measure)).props("flat")
@@ -278,16 +283,6 @@ def _report(workspace: Workspace, folder: Path, row: Row) -> str:
     if row.kind != JOB and written < max(path.stat().st_mtime for path in told):
         workspace.call("report", str(folder))
     return workspace.address(page)
-
-
-def _copy(workspace: Workspace, name: str) -> None:
-    try:
-        text = _copied(workspace, name)
-    except ColdsprayError as error:
-        ui.notify(str(error), type="negative")
-        return
-    page = "/job" if "[powder]" in text else "/coating" if "[coating]" in text else "/impact"
-    ui.navigate.to(f"{page}?copy={quote(name, safe='')}")
 
 
 def _rows_table(rows: list[Row], **more: Any) -> ui.table:

@@ -8,20 +8,22 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import parse_qs, quote, urlsplit
+from urllib.parse import quote, urlsplit
 
 from nicegui import app, ui
-from starlette.requests import cookie_parser
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
 from ..errors import ColdsprayError
 from .pages import add_pages
 from .workspace import Workspace
 
 HOST = "127.0.0.1"
-REFUSED = b"Open the address that `coldspray app` has printed: it ends in ?token=..."
+REFUSED = "Open the address that `coldspray app` has printed: it ends in ?token=..."
 # A page of results may run its own scripts, but not speak to the server as the reader does
-SANDBOX = (b"content-security-policy", b"sandbox allow-scripts allow-downloads allow-popups")
-ALWAYS = [(b"referrer-policy", b"same-origin"), (b"x-content-type-options", b"nosniff")]
+SANDBOX = {"content-security-policy": "sandbox allow-scripts allow-downloads allow-popups"}
+ALWAYS = {"referrer-policy": "same-origin", "x-content-type-options": "nosniff"}
 Scope = dict[str, Any]
 Message = Callable[..., Awaitable[Any]]
 
@@ -36,41 +38,33 @@ class Guard:
     async def __call__(self, scope: Scope, receive: Message, send: Message) -> None:
         if scope["type"] not in ("http", "websocket"):
             return await self.app(scope, receive, send)
-        headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        origin = headers.get(b"origin")
-        is_own = origin is None or urlsplit(origin).netloc == headers.get(b"host")
-        # takes what browsers send: cookies of other servers of this machine need not follow the standard
-        held = cookie_parser(headers.get(b"cookie", "")).get(self.cookie, "")
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if is_own and self._fits(held):
-            await self.app(scope, receive, self._with_headers(scope, send))
-        elif is_own and scope["type"] == "http" and self._fits(given):
-            cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
-            to = [(b"location", ("/" + quote(scope["path"].lstrip("/"))).encode()), (b"set-cookie", cookie.encode())]
-            await _answer(send, 303, b"", to)
-        elif scope["type"] == "http":
-            await _answer(send, 403, REFUSED, [(b"content-type", b"text/plain")])
-        else:
+        request = HTTPConnection(scope)
+        origin = request.headers.get("origin")
+        is_own = origin is None or urlsplit(origin).netloc == request.headers.get("host")
+        if is_own and self._fits(request.cookies.get(self.cookie, "")):
+            return await self.app(scope, receive, self._with_headers(scope, send))
+        if scope["type"] == "websocket":
             await receive()
-            await send({"type": "websocket.close", "code": 1008})
+            return await send({"type": "websocket.close", "code": 1008})
+        answer: Response = PlainTextResponse(REFUSED, 403, ALWAYS)
+        if is_own and self._fits(request.query_params.get("token", "")):
+            answer = RedirectResponse("/" + quote(scope["path"].lstrip("/")), 303, ALWAYS)
+            answer.set_cookie(self.cookie, self.token, httponly=True, samesite="lax")
+        await answer(scope, receive, send)
 
     def _fits(self, token: str) -> bool:
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def _with_headers(self, scope: Scope, send: Message) -> Message:
-        more = [*ALWAYS, *([SANDBOX] if scope["path"].startswith("/files/") else [])]
+        more = ALWAYS | (SANDBOX if scope["path"].startswith("/files/") else {})
 
         async def sent(message: Scope) -> None:
             if message["type"] == "http.response.start":
-                message = {**message, "headers": [*message.get("headers", ()), *more]}
+                message.setdefault("headers", [])
+                MutableHeaders(scope=message).update(more)
             await send(message)
 
         return sent
-
-
-async def _answer(send: Message, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
-    await send({"type": "http.response.start", "status": status, "headers": [*headers, *ALWAYS]})
-    await send({"type": "http.response.body", "body": body})
 
 
 def serve(workspace: Workspace, port: int, show: bool) -> None:
