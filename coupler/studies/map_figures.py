@@ -140,10 +140,19 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
     for key in sorted({tuple(row[axis] for axis in others) for row in done}):
         line = [row for row in done if tuple(row[axis] for axis in others) == key]
         parts = [line] if others or quantity in FORMULAS else maps.sides(line, x_axis)
-        colour, label = None, maps.place_words(dict(zip(others, key, strict=True)))
-        for number, part in enumerate(parts):
+        colour, label = None, maps.place_words(dict(zip(others, key, strict=True))) or None
+        for part in parts:
             fit = None if others or maps.sparse(part, axes) else maps.interpolate(part, quantity, axes)
-            colour = _side(at, part, x_axis, quantity, fit, colour, "" if number else label)
+            x, y = np.array(sorted((row[x_axis], row[quantity]) for row in part)).T
+            if fit is not None:
+                x = _spaced(x, x_axis, 4 * GRID)
+                y, std = fit(x)
+                named = any(text == "95 % band" for text in at.get_legend_handles_labels()[1])
+            (drawn,) = at.plot(x, m.factor * y, linewidth=1.2 if fit else 0.8, color=colour, label=label, zorder=2)
+            colour, label = to_hex(drawn.get_color()), None
+            if fit is not None:
+                ends = (m.factor * (y - BAND * std), m.factor * (y + BAND * std))
+                at.fill_between(x, *ends, color=colour, alpha=0.2, linewidth=0.0, label=None if named else "95 % band")
         edges[key] = colour if others and colour else "k"
     low = at.get_ylim()[0]
     for kind, own in by_verdict(rows, quantity).items():
@@ -163,26 +172,6 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
     _in_units(at.xaxis, x_axis)
     at.set(xlabel=axis_label(x_axis), ylabel=axis_label(quantity, whole=True))
     return figure
-
-
-def _side(at: Axes, rows: Sequence[Row], x_axis: str, quantity: str, fit: Interpolation | None, colour: str | None,
-          label: str) -> str:  # fmt: skip
-    """Draw one side of a line: the interpolation with its band, or straight lines. colour: None uses the next colour. Returns the
-    colour."""
-    factor = MEASURES[quantity].factor
-    line = sorted(rows, key=lambda row: row[x_axis])
-    x, y = np.array([row[x_axis] for row in line]), np.array([row[quantity] for row in line])
-    band = np.zeros(len(x))
-    if fit is not None:
-        x = _spaced(x, x_axis, 4 * GRID)
-        y, std = fit(x)
-        band = BAND * std
-    (drawn,) = at.plot(x, factor * y, linewidth=1.2 if fit else 0.8, color=colour, label=label or None, zorder=2)
-    if fit is not None:
-        shown_before = any(text == "95 % band" for text in at.get_legend_handles_labels()[1])
-        style: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.0, "label": None if shown_before else "95 % band"}
-        at.fill_between(x, factor * (y - band), factor * (y + band), color=drawn.get_color(), **style)
-    return to_hex(drawn.get_color())
 
 
 def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:

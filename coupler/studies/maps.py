@@ -171,15 +171,8 @@ def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
     """The rows with status "done", sorted by an axis and divided where the verdict changes between neighbouring values. A value whose
     rows have different verdicts counts as undecided."""
     done = sorted((row for row in rows if row["status"] == "done"), key=lambda row: row[axis])
-    divided: list[tuple[str, list[Row]]] = []
-    for _, group in itertools.groupby(done, key=lambda row: row[axis]):
-        here = list(group)
-        verdict = _common_verdict(here)
-        if divided and divided[-1][0] == verdict:
-            divided[-1][1].extend(here)
-        else:
-            divided.append((verdict, here))
-    return [part for _, part in divided]
+    places = [list(group) for _, group in itertools.groupby(done, key=lambda row: row[axis])]
+    return [[row for here in part for row in here] for _, part in itertools.groupby(places, key=_common_verdict)]
 
 
 def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Place, str, str]]:

@@ -65,8 +65,6 @@ def _mark(quantity: str, metal: str, velocity: float) -> Mark:
     if own:
         colour = GREEN if met_own == len(own) else AMBER if met_own else RED
         return Mark(colour, f"{quantity}: {met_own} of {len(own)} measurements on {kind} agree")
-    colour = AMBER if 2 * met >= len(rows) else RED
-    return Mark(
-        colour,
-        f"{quantity}: no measurement on {kind or metal} near {velocity:.0f} m/s, {met} of {len(rows)} others agree",
-    )
+    others = f"{met} of {len(rows)} others agree"
+    text = f"{quantity}: no measurement on {kind or metal} near {velocity:.0f} m/s, {others}"
+    return Mark(AMBER if 2 * met >= len(rows) else RED, text)
