@@ -43,23 +43,24 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     """Problems in the relations between several fields, each with the names of the checked fields. catalogue: materials by name;
     broken: names materials.NAME of tables with errors."""
     d = Derived(scene)
-    bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
-    layers = [(f"substrate.layer[{k}]", layer) for k, layer in enumerate(scene.substrate.layer, 1)]
-    bodies += [(where, scene.substrate.model_copy(update={"material": layer.material})) for where, layer in layers]
-    for where, particle in zip(reversed(scene.labels), reversed(scene.particles), strict=True):
-        cores = [(f"{where}.core", particle.model_copy(update={"material": name})) for name in particle.materials[1:]]
-        bodies[:0] = [(where, particle), *cores]
-    for where, body in bodies:
-        material = catalogue.get(body.material)
+    bodies: list[tuple[str, str, float]] = []  # name of the table, material, temperature (K)
+    for where, particle in zip(scene.labels, scene.particles, strict=True):
+        named = zip((where, f"{where}.core"), particle.materials, strict=False)
+        bodies += [(table, name, particle.temperature) for table, name in named]
+    base = scene.substrate
+    bodies += [("substrate", base.material, base.temperature)]
+    bodies += [(f"substrate.layer[{k}]", layer.material, base.temperature) for k, layer in enumerate(base.layer, 1)]
+    for where, name, temperature in bodies:
+        material = catalogue.get(name)
         if material is None:
-            if f"materials.{body.material}" not in broken:  # otherwise the list has its problems
-                text = f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}"
+            if f"materials.{name}" not in broken:  # otherwise the list has its problems
+                text = f"{where}.material = {shown(name)}: {materials.unknown(name, catalogue)}"
                 yield (f"{where}.material",), text
-        elif body.temperature > _HOTTEST * material.T_m:
+        elif temperature > _HOTTEST * material.T_m:
             text = f"must be below {_HOTTEST:g} times the melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K"
             field = f"{where.removesuffix('.core')}.temperature"
-            yield _wrong(field, body.temperature, "K", text, f"{where}.material")
-    known = [metal for _, body in bodies if (metal := catalogue.get(body.material)) is not None]
+            yield _wrong(field, temperature, "K", text, f"{where}.material")
+    known = [metal for _, name, _ in bodies if (metal := catalogue.get(name)) is not None]
     if d.ambient is not None and known:
         metal = min(known, key=lambda metal: metal.T_m)
         if d.ambient > _HOTTEST * metal.T_m:

@@ -70,15 +70,11 @@ class Particle(Section):
     _of_file: morphology.Form | None = None  # of diameter 1
 
     @model_validator(mode="after")
-    def _file_of_shape(self) -> "Particle":
+    def _has_its_file_and_sized_pores(self) -> "Particle":
         if self.shape == "file" and self.file is None:
             raise ValueError('has shape = "file": give file, such as "powder.stl"')
         if self.shape != "file" and self.file is not None:
             raise ValueError('has a file: set shape = "file", or remove file')
-        return self
-
-    @model_validator(mode="after")
-    def _has_sized_pores(self) -> "Particle":
         check_pores(self.porosity, self.pore_diameter)
         if self.porosity > 0.0 and self.shape in ("hollow_sphere", "file"):
             raise ValueError(f'has no porosity with shape = "{self.shape}": a file has its pores as surfaces inside it')

@@ -7,15 +7,15 @@ together.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ColdsprayError
 from ..physics.materials import Material
-from .gas import T_AMBIENT, Flow, Gas, Piece, State
+from .gas import T_AMBIENT, Flow, State
 
+POINTS = 80  # that are stored in each piece of the axis
 NEAR_MELTING = 0.9  # temperature over melting point, K over K
 Numbers = float | NDArray[np.float64]
 # (Re, M, T_particle / T_gas, gamma) -> coefficient
@@ -106,40 +106,22 @@ def melting(
 def fly_together(
     flow: Flow, material: Material, diameters: Sequence[float], T_feed: float = T_AMBIENT, drag: Drag = henderson
 ) -> list[Flight]:
-    """Flights of spheres (diameters m) from the feed to the target. They start at T_feed (K) with the velocity of the gas at the inlet
-    of the nozzle. Raises ColdsprayError if a flight cannot be computed."""
-    v_feed = flow.inside(-flow.nozzle.converging).u
-    given, c_p = np.transpose(material.cp)
-    cp = partial(np.interp, xp=given, fp=c_p)
-    return integrate(flow.pieces, flow.gas, material.rho, cp, diameters, v_feed, T_feed, drag)
-
-
-def integrate(
-    pieces: tuple[Piece, ...],
-    gas: Gas,
-    rho: float,
-    cp: Callable[[NDArray[np.float64]], Numbers],
-    diameters: Sequence[float],
-    v: float,
-    T: float,
-    drag: Drag = henderson,
-    points: int = 80,
-) -> list[Flight]:
-    """Integrate the motion and the uniform temperature of spheres along the axis.
+    """Flights of spheres (diameters D, m) of uniform temperature from the feed to the target along the axis.
 
         m v dv/dx = C_D rho_gas |u - v| (u - v) pi D^2 / 8,    m cp v dT/dx = Nu k pi D (T_r - T)
 
-    rho (kg/m^3), cp(T) (J/(kg K)), diameters D (m): density, specific heat and diameters of the spheres; v (m/s), T (K): velocity and
-    temperature at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): recovery temperature (White, Viscous Fluid Flow, 1991).
-    points: number of stored points in each piece. All spheres have the same steps in x, and each satisfies the tolerance of the
-    solver.
+    T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): recovery temperature (White, Viscous Fluid Flow, 1991). They start at T_feed (K)
+    with the velocity of the gas at the inlet of the nozzle. All spheres have the same steps in x, and each satisfies the tolerance of
+    the solver. Raises ColdsprayError if a flight cannot be computed.
     """
     from scipy.integrate import solve_ivp
 
-    D = np.asarray(diameters, np.float64)
+    D, gas, rho, (given, c_p) = np.asarray(diameters, np.float64), flow.gas, material.rho, np.transpose(material.cp)
     columns = []
-    y = np.tile([v, T, 0.0], len(D))  # sphere by sphere; the spheres are independent
-    for start, stop, state in pieces:
+    y = np.tile(
+        [flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D)
+    )  # sphere by sphere; the spheres are independent
+    for start, stop, state in flow.pieces:
 
         def slope(x: float, y: NDArray[np.float64], state: Callable[[float], State] = state) -> NDArray[np.float64]:
             v, T = np.maximum(y[0::3], 1e-9), y[1::3]
@@ -148,11 +130,17 @@ def integrate(
             Re, M = rho_gas * w * D / gas.viscosity(T_gas), w / gas.sound(T_gas)
             push = 3 / 4 * drag(Re, M, T / T_gas, gas.gamma) * rho_gas * w * (u - v) / (rho * D)
             T_r = T_gas * (1 + math.sqrt(gas.Pr) * (gas.gamma - 1) / 2 * M**2)
-            heat = 6 * nusselt(Re, M, gas.Pr) * gas.conductivity(T_gas) * (T_r - T) / (rho * cp(T) * D**2)
+            heat = (
+                6
+                * nusselt(Re, M, gas.Pr)
+                * gas.conductivity(T_gas)
+                * (T_r - T)
+                / (rho * np.interp(T, given, c_p) * D**2)
+            )
             return np.stack([push / v, heat / v, 1 / v], axis=1).ravel()
 
         # finer at both ends, where the gas changes fastest: throat and shock
-        xs = start + (stop - start) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, points)))
+        xs = start + (stop - start) * (0.5 - 0.5 * np.cos(np.linspace(0, np.pi, POINTS)))
         xs[0], xs[-1] = start, stop
         atol = np.tile([1e-6, 1e-6, 1e-12], len(D))
         solved = solve_ivp(slope, (start, stop), y, "LSODA", xs, rtol=1e-8, atol=atol, lband=2, uband=2)

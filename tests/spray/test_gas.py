@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.special import erf
 from coupler.errors import ColdsprayError
 from coupler.physics.materials import material
 from coupler.spray import gas, nozzles
-from coupler.spray.flight import carlson_hoglund, fly_together, henderson, integrate, nusselt
+from coupler.spray.flight import carlson_hoglund, fly_together, henderson, nusselt
 from coupler.spray.gas import GASES, Flow, Piece, State
 
 N2, D42 = GASES["N2"], nozzles.library()["D42PBI"]
@@ -164,8 +165,11 @@ STEADY = State(800.0, 300.0, 0.5)
 
 
 def through_steady_gas(length, D=20e-6, v=1e-3, T=300.0, rho=8900.0, cp=450.0, state=STEADY, **options):
-    pieces = (Piece(0.0, length, lambda x: state),)
-    return integrate(pieces, N2, rho, lambda T: cp, [D], v, T, **options)[0]
+    steady = SimpleNamespace(
+        pieces=(Piece(0.0, length, lambda x: state),), gas=N2, inside=lambda x: State(v, T, state.rho),
+        nozzle=SimpleNamespace(converging=0.0),
+    )  # fmt: skip
+    return fly_together(steady, SimpleNamespace(rho=rho, cp=((300.0, cp),)), [D], T, **options)[0]
 
 
 @pytest.mark.parametrize("length", [1e-3, 0.02, 0.2])
