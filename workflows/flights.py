@@ -41,7 +41,7 @@ def arrived(run: Mapping[str, Any], row: Sequence[Any], nozzle: Nozzle) -> Spray
     gas, bar, T_gas, T_powder = row[:4]
     flow = Flow(GASES[gas], nozzle, bar * 1e5, T_gas + ZERO, run["standoff_mm"] * 1e-3, ATMOSPHERE)
     metal = material(run["metal"])
-    sizes = Sizes.of_quantiles(*(size * 1e-6 for size in run["sizes_um"]))
+    sizes = Sizes.of_diameters(*(size * 1e-6 for size in run["sizes_um"]))
     return spray(metal, None, sizes, lambda D: fly_together(flow, metal, D, T_powder + ZERO))
 
 

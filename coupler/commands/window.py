@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: {order}"], "window")
     metal = metals[arguments.material]
     base = metals[arguments.substrate] if arguments.substrate is not None else None
-    sizes, keys = Sizes.of_quantiles(small, median, large), ("--material", "--substrate")
+    sizes, keys = Sizes.of_diameters(small, median, large), ("--material", "--substrate")
     spray = window.spray(metal, base, sizes, partial(fly, metal), keys)
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:

@@ -17,9 +17,7 @@ _CUMULATIVE = ("under", "cum", "passing", "undersize")
 def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
     """The size distribution of a powder, from its value in a scene. folder: folder to which a file name is relative. Raises
     ValueError with the problem of the file."""
-    if isinstance(sizes, str):
-        return sizes_in(table_of(sizes, folder))
-    return Sizes.of_sieves(*sizes) if len(sizes) == 2 else Sizes.of_quantiles(*sizes)
+    return sizes_in(table_of(sizes, folder)) if isinstance(sizes, str) else Sizes.of_diameters(*sizes)
 
 
 def table_of(name: str, folder: Path) -> Table:

@@ -19,14 +19,10 @@ class Sizes(NamedTuple):
     known: tuple[float, ...]
 
     @classmethod
-    def of_quantiles(cls, d10: float, d50: float, d90: float) -> "Sizes":
-        """The distribution with the diameters D10, D50 and D90 by mass, m."""
-        return cls((0.1, 0.5, 0.9), (d10, d50, d90))
-
-    @classmethod
-    def of_sieves(cls, smallest: float, largest: float) -> "Sizes":
-        """The distribution between two sieve sizes (m), with the mass fraction SIEVED below and above them."""
-        return cls((SIEVED, 1.0 - SIEVED), (smallest, largest))
+    def of_diameters(cls, *known: float) -> "Sizes":
+        """The distribution with the diameters D10, D50 and D90 by mass (m), or between two sieve sizes (m), with the mass fraction
+        SIEVED below and above them."""
+        return cls((SIEVED, 1.0 - SIEVED) if len(known) == 2 else (0.1, 0.5, 0.9), known)
 
     @classmethod
     def of_classes(cls, edges: Sequence[float], shares: Sequence[float]) -> "Sizes":

@@ -179,20 +179,15 @@ def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
 
 def check(scene: Scene) -> None:
     """Raise SceneError unless the scene is a single impact whose verdict follows from computed bonds."""
-    problems = []
-    if len(scene.particles) != 1:
-        problems.append(
-            f"particle: a critical velocity belongs to a single impact, but this scene has"
-            f" {len(scene.particles)} particles: keep only one"
-        )
-    if scene.gas is not None:
-        problems.append("gas: remove this table, because the search sets the velocity")
-    law = scene.derived.adhesion_law
-    if not law.in_impact:
-        text = f"adhesion: with this law ({law.words}) bonds are not computed, so that runs show no critical velocity"
-        problems.append(f'{text}: give kind = "cohesive" and a criterion')
-    if problems:
-        raise SceneError(problems, scene.name)
+    law, many = scene.derived.adhesion_law, f"this scene has {len(scene.particles)} particles: keep only one"
+    no_bonds = f"with this law ({law.words}) bonds are not computed, so that runs show no critical velocity"
+    problems = {
+        f"particle: a critical velocity belongs to a single impact, but {many}": len(scene.particles) != 1,
+        "gas: remove this table, because the search sets the velocity": scene.gas is not None,
+        f'adhesion: {no_bonds}: give kind = "cohesive" and a criterion': not law.in_impact,
+    }
+    if any(problems.values()):
+        raise SceneError([text for text, holds in problems.items() if holds], scene.name)
 
 
 def verdict_words(found: Bracket, formula: PairFormula) -> str:

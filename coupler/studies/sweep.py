@@ -15,7 +15,7 @@ from scipy import stats
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import read_toml, similar
+from ..files.inputs import InputError, read_toml, similar
 from ..plan.own import with_library
 from ..plan.reading import Scene
 from ..scene.model import safe_name
@@ -61,8 +61,8 @@ class Sweep:
         path = Path(path)
         try:
             data = read_toml(path)
-        except ColdsprayError as error:
-            raise SceneError([f"the file {getattr(error, 'reason', error)}{similar(path)}"], str(path)) from None
+        except InputError as error:
+            raise SceneError([f"the file {error.reason}{similar(path)}"], str(path)) from None
         return cls.from_dict(data, str(path))
 
     @classmethod

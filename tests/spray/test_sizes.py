@@ -14,13 +14,13 @@ NORMAL = NormalDist()
 def test_a_log_normal_powder_comes_back_from_its_three_diameters() -> None:
     """ln D normal about ln 25 um with 0.4: every quantile follows from three of them, beyond these too."""
     known = [25e-6 * exp(0.4 * NORMAL.inv_cdf(u)) for u in (0.1, 0.5, 0.9)]
-    powder = Sizes.of_quantiles(*known)
+    powder = Sizes.of_diameters(*known)
     for u in (0.01, 0.25, 0.5, 0.7, 0.99):
         assert powder.diameter(u) == pytest.approx(25e-6 * exp(0.4 * NORMAL.inv_cdf(u)), rel=1e-12)
 
 
 def test_a_range_of_sieves_has_the_same_share_on_either_side() -> None:
-    powder = Sizes.of_sieves(15e-6, 45e-6)
+    powder = Sizes.of_diameters(15e-6, 45e-6)
     assert powder.diameter(SIEVED) == pytest.approx(15e-6)
     assert powder.diameter(1.0 - SIEVED) == pytest.approx(45e-6)
     assert powder.diameter(0.5) == pytest.approx((15e-6 * 45e-6) ** 0.5)

@@ -32,9 +32,9 @@ def test_the_critical_velocity_falls_with_size_as_published() -> None:
 
 def test_the_distribution_passes_through_its_three_diameters() -> None:
     sizes = 15e-6, 25e-6, 40e-6
-    powder = Sizes.of_quantiles(*sizes)
+    powder = Sizes.of_diameters(*sizes)
     assert [powder.diameter(u) for u in (0.1, 0.5, 0.9)] == pytest.approx(sizes, rel=1e-12)
-    assert Sizes.of_quantiles(25e-6, 25e-6, 25e-6).diameter(0.01) == pytest.approx(25e-6)
+    assert Sizes.of_diameters(25e-6, 25e-6, 25e-6).diameter(0.01) == pytest.approx(25e-6)
 
 
 @pytest.mark.parametrize(
