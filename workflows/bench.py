@@ -11,8 +11,9 @@ from collections.abc import Callable
 from itertools import count, takewhile
 
 import numpy as np
-from pages import impact_tables, machine, options, reference, spacing_of, study
+from pages import impact_tables, machine, options, reference, spacing_of
 from serial_share import Spent
+from study_table import study
 
 from coupler.core.cores import cores
 from coupler.core.threads import threads_of
@@ -193,7 +194,7 @@ def main() -> None:
         threaded(rows, points, a.most)
     whole(rows, 5000)
     loop = reference(clock) * 1e6
-    table = study("bench", ("part", "version"), "make bench")
+    table = study("bench", ("part", "version"), remake="make bench")
     for name, value, unit in rows:
         over = f"{value / loop:.4g}" if unit.startswith("us") else ""
         print(f"{name:45s} {value:10.4g} {unit}")

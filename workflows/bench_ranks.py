@@ -12,7 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pages import TABLES, impact_tables, machine, options, write_table
+from pages import impact_tables, machine, options, scene_file
+from study_table import write_table
 
 from coupler import Result, Scene
 
@@ -31,10 +32,9 @@ for path in (warm, scene):
 def main() -> None:
     """Measure, print, record."""
     a = options(__doc__, repeats=3)
-    standard = Scene.load(Path(__file__).parent / "single_ni.toml")
-    scenes = {"single_ni": standard, "equal loads": Scene.from_dict(EQUAL)}
+    scenes = {"single_ni": scene_file("single_ni"), "equal loads": Scene.from_dict(EQUAL)}
     rows = [row for name, scene in scenes.items() for row in measured(name, scene, a.repeats)]
-    write_table(TABLES / "ranks.csv", rows, f"remake: make bench; {machine()}")
+    write_table("ranks", rows, f"remake: make bench; {machine()}")
 
 
 def measured(name: str, scene: Scene, repeats: int) -> list[dict[str, object]]:

@@ -10,39 +10,24 @@ and the table of the page on bonding; --docs makes only these.
 import itertools
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from pages import (
-    EVIDENCE,
-    ROOT,
-    TABLES,
-    column,
-    computed,
-    markdown,
-    measurements,
-    number,
-    options,
-    study,
-    write_parts,
-)
-from study_table import Row
+from pages import computed, drawing, markdown, options, scene_file, write_parts
+from study_table import REMAKE, TABLES, Row, column, measurements, number, study
 
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.impact.exchange import Impact
 from coupler.impact.touching import softer_strength
 from coupler.physics.materials import material
-from coupler.report.picture import blank, save
-from coupler.studies.critical import at_velocity, bracket, point_name, rows_at
+from coupler.studies.critical import Bracket, at_velocity, bracket, point_name, rows_at
 from coupler.studies.table import write_rows
 
 KEY = ("metal", "diameter_um", "temperature_K", "film", "strength", "taylor_alpha", "preset", "velocity_m_s")
 PLACED_KEY = ("metal", "diameter_um", "preset", "velocity_m_s", "placement")
-REMAKE = "python workflows/bonding_energy.py"
 ABOUT = f"""remake: {REMAKE}
 film: factor on the strength of the oxide film (docs/theory/bonds.md)
 strength: strength set of the metal; taylor_alpha: of its hardening by gradients of plastic strain, 0 for none"""
@@ -68,7 +53,7 @@ def scene_of(
 ) -> Scene:  # fmt: skip
     """A scene of FILES with these values (`CASES`), its target in the same ratio to the particle. strength: "" for that of the file."""
     name, D = RATE if strength == RATE else FILES[metal], float(diameter)
-    scene = Scene.load(ROOT / "workflows" / f"{name}.toml")
+    scene = scene_file(name)
     scale = D * 1e-6 / scene.particle.diameter
     size = {key: f"{getattr(scene.substrate, key) * 1e6 * scale:g} um" for key in ("diameter", "height")}
     changes: dict[str, object] = {"taylor_alpha": float(alpha)}
@@ -170,15 +155,17 @@ def profile() -> Iterator[dict[str, object]]:
             }  # fmt: skip
 
 
+def bracket_of(rows: Iterable[Row]) -> Bracket:
+    """The critical velocity that the verdicts of some runs show."""
+    return bracket({number(row, "velocity_m_s"): row["verdict"] for row in rows})
+
+
 def criticals(rows: list[Row]) -> Iterator[Row]:
     """The bracket that the verdicts of each particle, film and preset show."""
 
-    def case(row: Row) -> tuple[str, ...]:
-        return tuple(row[key] for key in KEY[:-1])
-
-    for key, group in groupby(sorted(rows, key=case), key=case):
-        own = list(group)
-        found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
+    for key in sorted({tuple(row[name] for name in KEY[:-1]) for row in rows}):
+        own = [row for row in rows if tuple(row[name] for name in KEY[:-1]) == key]
+        found = bracket_of(own)
         measured = critical_of(*key[:2]) if key[2] == "300" else None
         values = [f"{value:g}" if value else "" for value in (found.low, found.high, found.velocity, measured)]
         names = "rebounds_to_m_s", "sticks_from_m_s", "critical_m_s", "measured_m_s"
@@ -196,60 +183,53 @@ def critical_part(lines: list[Row], rows: list[Row]) -> list[str]:
         return f"above {low:g}" if math.isfinite(low) else f"below {high:g}"
 
     fine = [r for r in lines if r["preset"] == "fine"]
-    columns = {
-        "without gradients": ("0", True),
-        "with gradients": (ALPHA, True),
-        "with gradients and a rate": (ALPHA, False),
-    }
+    heads = "without gradients", "with gradients", "with gradients and a rate"
     table = []
     for metal, size in sorted({(r["metal"], r["diameter_um"]) for r in fine}, key=lambda key: (key[0], float(key[1]))):
         own = [r for r in fine if (r["metal"], r["diameter_um"]) == (metal, size)]
         found = {(r["taylor_alpha"], r["strength"] in (NI, CU)): words(r) for r in own}
         measured = critical_of(metal, size)
-        cells = (found.get(key, "-") for key in columns.values())
+        cells = (found.get(key, "-") for key in (("0", True), (ALPHA, True), (ALPHA, False)))
         table.append([f"{metal} {size} µm", *cells, f"{measured:g}" if measured else "-"])
-    return markdown(["critical velocity, m/s", *columns, "measured"], table, rows)
+    return markdown(["critical velocity, m/s", *heads, "measured"], table, rows)
 
 
 def draw(rows: list[Row]) -> None:
     """Restitution over velocity beside the measured one, a panel for each metal; verdicts of the workflow's own scene."""
-    figure = blank(9.6, 4.0, 110)
-    for left, (metal, size, strength) in zip((0.07, 0.57), (("Ni", "10", NI), ("OFHC_Cu", "14", CU)), strict=True):
-        axes = figure.add_axes((left, 0.13, 0.42, 0.78))
-        axes.plot(*np.array(MEASURED[metal]["e"]).T, "o", mfc="none", color="k", ms=5, label="measured")
-        axes.axvline(
-            MEASURED[metal]["critical_velocity_m_s"], color="k", ls="--", lw=1, label="measured critical velocity"
-        )
-        for alpha, colour, mark in ((ALPHA, "#0072b2", "s-"), ("0", "#d55e00", "^:")):
-            words = "gradients harden" if alpha == ALPHA else "no gradients"
-            key = metal, size, "300", "1", strength, alpha, "fine"
-            own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == key]
-            points = sorted((number(r, "velocity_m_s"), float(r["restitution"])) for r in own if r["restitution"])
-            axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {words}")
-            found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
-            if found.low is not None and found.high is not None:
-                label = f"computed critical velocity, {words}"
-                axes.axvspan(found.low, found.high, color=colour, alpha=0.2, lw=0, label=label)
-        axes.set(title=f"{metal}, {size} µm", xlabel="velocity of impact (m/s)", ylim=(-0.003, None))
-    axes.legend(fontsize=7, loc="upper right")
-    figure.axes[0].set_ylabel("coefficient of restitution")
-    save(figure, EVIDENCE / "critical.png")
+    with drawing("critical", 9.6, 4.0) as figure:
+        for left, (metal, size, strength) in zip((0.07, 0.57), (("Ni", "10", NI), ("OFHC_Cu", "14", CU)), strict=True):
+            axes, measured = figure.add_axes((left, 0.13, 0.42, 0.78)), MEASURED[metal]
+            axes.plot(*np.array(measured["e"]).T, "o", mfc="none", color="k", ms=5, label="measured")
+            critical = measured["critical_velocity_m_s"]
+            axes.axvline(critical, color="k", ls="--", lw=1, label="measured critical velocity")
+            for alpha, colour, mark in ((ALPHA, "#0072b2", "s-"), ("0", "#d55e00", "^:")):
+                words = "gradients harden" if alpha == ALPHA else "no gradients"
+                key = metal, size, "300", "1", strength, alpha, "fine"
+                own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == key]
+                points = sorted((number(r, "velocity_m_s"), float(r["restitution"])) for r in own if r["restitution"])
+                axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {words}")
+                found = bracket_of(own)
+                if found.low is not None and found.high is not None:
+                    label = f"computed critical velocity, {words}"
+                    axes.axvspan(found.low, found.high, color=colour, alpha=0.2, lw=0, label=label)
+            axes.set(title=f"{metal}, {size} µm", xlabel="velocity of impact (m/s)", ylim=(-0.003, None))
+        axes.legend(fontsize=7, loc="upper right")
+        figure.axes[0].set_ylabel("coefficient of restitution")
 
 
 def draw_springs(rows: list[Row]) -> None:
     """Energy of the contact springs at the greatest deformation, and of the rebound, over the stiffness of the springs."""
-    figure = blank(5.4, 3.4, 110, "constrained")
-    axis = figure.add_subplot()
-    for key, words, style in (("rebound_J_m2", "rebound", "-"), ("springs_J_m2", "contact springs", ":")):
-        for preset, colour in (("draft", "#d55e00"), ("standard", "#0072b2")):
-            own = [row for row in rows if row["preset"] == preset]
-            label = f"{words}, {preset}"
-            axis.plot(column(own, "contact_stiffness"), column(own, key), f"o{style}", color=colour, ms=4, label=label)
-    axis.set(
-        xlabel="stiffness of the contact over the default", ylabel="energy over contact area (J/m²)", ylim=(0.0, None)
-    )
-    axis.legend(fontsize=8)
-    save(figure, EVIDENCE / "contact.png")
+    with drawing("contact", 5.4, 3.4, "constrained") as figure:
+        axis = figure.add_subplot()
+        for key, words, style in (("rebound_J_m2", "rebound", "-"), ("springs_J_m2", "contact springs", ":")):
+            for preset, colour in (("draft", "#d55e00"), ("standard", "#0072b2")):
+                own = [row for row in rows if row["preset"] == preset]
+                x, y = column(own, "contact_stiffness"), column(own, key)
+                axis.plot(x, y, f"o{style}", color=colour, ms=4, label=f"{words}, {preset}")
+        axis.set(
+            xlabel="stiffness of the contact over the default", ylabel="energy over contact area (J/m²)", ylim=(0, None)
+        )
+        axis.legend(fontsize=8)
 
 
 def main() -> None:
@@ -257,16 +237,16 @@ def main() -> None:
     a = options(__doc__, "docs", runs="runs/bonding_energy")
     runs = Path(a.runs)
     keys = ((*case, f"{v}") for case, speeds in CASES.items() for v in speeds)
-    table = study("bonding_energy", KEY, REMAKE, () if a.docs else keys, partial(row_of, runs=runs))
-    placed = (
-        (*case, f"{v}", f"{k}") for case, speeds in PLACED_CASES.items() for v in speeds for k in range(PLACEMENTS)
-    )
-    study("bonding_scatter", PLACED_KEY, REMAKE, () if a.docs else placed, partial(placed_row, runs=runs))
-    springs_of = () if a.docs else itertools.product(("draft", "standard"), ("1", "8", "16"))
-    draw_springs(study("contact_springs", ("preset", "contact_stiffness"), REMAKE, springs_of, springs).rows)
-    profiles = study("bond_profile", ("zone_r_over_R",), REMAKE)
-    for row in () if a.docs or profiles.rows else profile():
-        print(profiles.add(row), flush=True)
+    table = study("bonding_energy", KEY, () if a.docs else keys, partial(row_of, runs=runs))
+    if not a.docs:
+        placed = ((*case, f"{v}") for case, speeds in PLACED_CASES.items() for v in speeds)
+        placements = ((*key, f"{k}") for key in placed for k in range(PLACEMENTS))
+        study("bonding_scatter", PLACED_KEY, placements, partial(placed_row, runs=runs))
+        profiles = study("bond_profile", ("zone_r_over_R",))
+        for row in () if profiles.rows else profile():
+            print(profiles.add(row), flush=True)
+    stiffness = () if a.docs else itertools.product(("draft", "standard"), ("1", "8", "16"))
+    draw_springs(study("contact_springs", ("preset", "contact_stiffness"), stiffness, springs).rows)
     lines = list(criticals(table.rows))
     draw(table.rows)
     write_rows(TABLES / "critical_velocity.csv", list(lines[0]), lines, ABOUT)

@@ -10,8 +10,8 @@ import math
 import tomllib
 from collections.abc import Sequence
 
-from pages import EVIDENCE, ROOT, column, computed, impact_tables, markdown, options, study, write_parts
-from study_table import Row
+from pages import EVIDENCE, computed, impact_tables, markdown, options, scene_file, write_parts
+from study_table import Row, column, study
 
 from coupler import Result, Scene
 from coupler.measures import EMBEDDED, STICKS
@@ -44,7 +44,7 @@ DIAMETER = 20.0  # um
 
 def scene_of(name: str, powder: str) -> Scene:
     """The blend of a scene; "metal": only the particles of its first powder; "after": these first, then the ceramic ones."""
-    scene = Scene.load(ROOT / "workflows" / f"{name}.toml")
+    scene = scene_file(name)
     if powder == "blend":
         return scene
     tables = tomllib.loads(scene.to_toml())
@@ -134,9 +134,9 @@ def impact_lines(rows: Sequence[Row]) -> list[str]:
 
 def main() -> None:
     """Run what is missing, write the tables of the page."""
-    a, remake = options(__doc__, "docs"), "python workflows/cermets.py"
-    impacts = study("ceramic_impacts", KEY, remake, () if a.docs else IMPACTS, impact_row)
-    coatings = study("cermets", ("scene", "powder"), remake, () if a.docs else COATINGS, coating_row)
+    a = options(__doc__, "docs")
+    impacts = study("ceramic_impacts", KEY, () if a.docs else IMPACTS, impact_row)
+    coatings = study("cermets", ("scene", "powder"), () if a.docs else COATINGS, coating_row)
     write_parts("cermets", {"impacts": impact_lines(impacts.rows), "cermets": coating_lines(coatings.rows)})
 
 

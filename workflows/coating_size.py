@@ -8,10 +8,9 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from pages import ROOT, column, computed, options, study, versions, write_parts
-from study_table import Row
+from pages import computed, options, scene_file, versions, write_parts
+from study_table import Row, column, study
 
-from coupler import Scene
 from coupler.studies import coating
 
 SEEDS = range(3, 11)
@@ -26,8 +25,7 @@ MEASURES = {  # column: name and unit of its change
 def row_of(seed: str, diameter: str) -> dict[str, object]:
     """The coating of a seed on a substrate of a diameter, um; stresses are means over the volume of the splats within RADIUS."""
     size = {"diameter": f"{diameter} um", "height": f"{SIZES[diameter]} um"}
-    scene = Scene.load(ROOT / "workflows" / "coating_size.toml").with_(coating={"seed": int(seed)}, substrate=size)
-    with computed(scene) as (result, cpu):
+    with computed(scene_file("coating_size", coating={"seed": int(seed)}, substrate=size)) as (result, cpu):
         measures = coating.measure(coating.read(result), RADIUS)
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
     volume = [layer["volume_m3"] for layer in layers]
@@ -57,10 +55,8 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
 def main() -> None:
     """Run what is missing, write the sentence of the page."""
-    a = options(__doc__, "docs")
-    keys = itertools.product(map(str, SEEDS), SIZES)
-    remake = "python workflows/coating_size.py"
-    table = study("coating_size_seeds", ("seed", "diameter_um"), remake, () if a.docs else keys, row_of)
+    keys = () if options(__doc__, "docs").docs else itertools.product(map(str, SEEDS), SIZES)
+    table = study("coating_size_seeds", ("seed", "diameter_um"), keys, row_of)
     write_parts("coating", {"size": lines(table.rows)})
 
 

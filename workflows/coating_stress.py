@@ -12,27 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import (
-    EVIDENCE,
-    ROOT,
-    column,
-    computed,
-    impact_tables,
-    markdown,
-    measurements,
-    number,
-    options,
-    spacing_of,
-    study,
-    with_error,
-    write_parts,
-)
-from study_table import Row
+from pages import computed, drawing, impact_tables, markdown, options, scene_file, spacing_of, with_error, write_parts
+from study_table import Row, column, measurements, number, study
 
 from coupler import Scene
 from coupler.geometry.tetrahedra import volumes
 from coupler.physics.materials import entry, material
-from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.splats import Splats
 
@@ -45,7 +30,8 @@ def scene_of(metal: str, velocity: str, strength: str, seed: str, test: str) -> 
     """The scene of a key: coatings_al.toml with its changes."""
     um, gas, kPa, temperature = next(row[:4] for row in MEASURED[metal] if f"{row[4]}" == velocity)
     nozzle, standoff = MEASURED["nozzles"][f"{kPa}"]
-    scene = Scene.load(ROOT / "workflows" / "coatings_al.toml").with_(
+    scene = scene_file(
+        "coatings_al",
         coating={"material": metal, "radius": f"{1.5 * um} um", "diameter": f"{um} um", "seed": int(seed)},
         gas={
             "kind": gas, "nozzle": nozzle, "pressure": f"{kPa / 100} bar", "temperature": f"{temperature} degC",
@@ -129,11 +115,9 @@ def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
         for measured in MEASURED[metal]:
             key = metal, f"{measured[4]}", "", ""
             own = [r for r in rows if (r["metal"], r["velocity_m_s"], r["test"], r["failed"]) == key]
-            usual = [r for r in own if r["strength"] == sets[0]]
+            usual, others = ([r for r in own if (r["strength"] == sets[0]) == first] for first in (True, False))
             if usual:
-                yield Comparison(
-                    f"{metal}, {measured[4]} m/s", metal, measured, usual, [r for r in own if r not in usual]
-                )
+                yield Comparison(f"{metal}, {measured[4]} m/s", metal, measured, usual, others)
 
 
 def error_of(values: NDArray[np.float64]) -> float:
@@ -174,19 +158,18 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
 def draw(rows: Sequence[Row]) -> None:
     """Computed over measured: stress, with the other strength sets as crosses, and density."""
-    figure = blank(8.0, 3.8, 110)
     places = {"stress_MPa": (0.09, "deposition stress (MPa)", 9), "density": (0.59, "density (%)", 5)}
-    for key, (left, title, k) in places.items():
-        axes = figure.add_axes((left, 0.14, 0.38, 0.77))
-        for n, c in enumerate(comparisons(rows)):
-            (x, dx), y, other, colour = c.measured[k : k + 2], column(c.rows, key), column(c.others, key), f"C{n}"
-            axes.errorbar(x, y.mean(), np.nan_to_num(error_of(y)), dx, "o", capsize=3, color=colour, label=c.name)
-            axes.plot(np.full(len(other), x), other, "x", color=colour)
-        low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
-        axes.plot([low.min(), high.max()], [low.min(), high.max()], "k--", lw=1)
-        axes.set(title=title, xlabel="measured", ylabel="computed")
-    axes.legend(fontsize=7)
-    save(figure, EVIDENCE / "coating_al.png")
+    with drawing("coating_al", 8.0, 3.8) as figure:
+        for key, (left, title, k) in places.items():
+            axes = figure.add_axes((left, 0.14, 0.38, 0.77))
+            for n, c in enumerate(comparisons(rows)):
+                (x, dx), y, other, colour = c.measured[k : k + 2], column(c.rows, key), column(c.others, key), f"C{n}"
+                axes.errorbar(x, y.mean(), np.nan_to_num(error_of(y)), dx, "o", capsize=3, color=colour, label=c.name)
+                axes.plot(np.full(len(other), x), other, "x", color=colour)
+            low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+            axes.plot([low.min(), high.max()], [low.min(), high.max()], "k--", lw=1)
+            axes.set(title=title, xlabel="measured", ylabel="computed")
+        axes.legend(fontsize=7)
 
 
 def coating_scene(metal: str, test: str) -> Scene:
@@ -223,12 +206,6 @@ def coating_row(metal: str, test: str) -> dict[str, object]:
     return row
 
 
-def coatings() -> Iterator[tuple[str, str]]:
-    """Metal and test of each coating, those without a test first."""
-    yield from ((metal, "") for metal in COATED)
-    yield from ((metal, test) for metal, said in COATED.items() for test in said["tests"])
-
-
 def coating_pairs(row: Row) -> Iterator[tuple[str, str, Sequence[float], Sequence[float], int]]:
     """What is measured of a coating: quantity, case, measured value and error, computed value and error, digits after the point."""
     metal, said = row["metal"], COATED[row["metal"]]
@@ -260,9 +237,10 @@ def coating_part(rows: Sequence[Row]) -> list[str]:
 def main() -> None:
     """Run what is missing, draw, write the tables of the page."""
     docs = options(__doc__, "docs").docs
-    remake = "python workflows/coating_stress.py"
-    table = study("coating_al", KEY, remake, () if docs else keys(), row_of, may_fail=True)
-    others = study("coatings", ("metal", "test"), remake, () if docs else coatings(), coating_row, may_fail=True)
+    tests = [(metal, test) for metal, said in COATED.items() for test in said["tests"]]
+    coatings = [*((metal, "") for metal in COATED), *tests]
+    table = study("coating_al", KEY, () if docs else keys(), row_of, may_fail=True)
+    others = study("coatings", ("metal", "test"), () if docs else coatings, coating_row, may_fail=True)
     draw(table.rows)
     write_parts("coating_stress", {"aluminium": lines(table.rows), "coatings": coating_part(others.rows)})
 

@@ -11,23 +11,12 @@ other work on the machine slows down all alike, and the least of several rounds 
 import math
 import time
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from pages import (
-    EVIDENCE,
-    computed,
-    impact_tables,
-    markdown,
-    measurements,
-    number,
-    options,
-    spacing_of,
-    study,
-    write_parts,
-)
-from study_table import Row
+from pages import computed, drawing, impact_tables, markdown, options, spacing_of, write_parts
+from study_table import REMAKE, Row, measurements, number, study
 
 from coupler import Scene
 from coupler.impact.domains import build_domains
@@ -36,14 +25,12 @@ from coupler.impact.loop import advance_chunk
 from coupler.measures import CONVERGING, measure
 from coupler.plan.effects import EFFECTS, GRADIENTS
 from coupler.plan.planning import plan
-from coupler.report.picture import blank, save
 from coupler.scene.effects import NAMES
 
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
 NEVER = ("adhesion", "cooling", GRADIENTS)
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
-COMMAND = "python workflows/effects_study.py"
 Tables = dict[str, Any]
 LEAST = 0.05  # %: bars of smaller changes end here
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
@@ -116,7 +103,7 @@ def influence(docs: bool) -> list[Row]:
         return {"number": f"{numbers[effect]:.4g}", **changes}
 
     keys = ((name, effect) for name, (_, effects) in STUDIES.items() for effect in effects)
-    return study("effects_study", ("scene", "effect"), COMMAND, () if docs else keys, row_of).rows
+    return study("effects_study", ("scene", "effect"), () if docs else keys, row_of).rows
 
 
 def in_turn(scenes: Mapping[str, Scene], rounds: int) -> dict[str, Sequence[float]]:
@@ -159,23 +146,22 @@ def main() -> None:
     """Fill the tables."""
     a = options(__doc__, "proof", "docs", rounds=2)
     proofs = ((name,) for name in PROOFS) if a.proof else ()
-    against = study("effects_proof", ("scene",), f"{COMMAND} --proof", proofs, lambda name: proof(name, a.rounds))
+    against = study("effects_proof", ("scene",), proofs, partial(proof, rounds=a.rounds), remake=f"{REMAKE} --proof")
     write(influence(a.docs or a.proof), against.rows)
 
 
 def draw(largest: Mapping[str, list[float]]) -> None:
     """Bars of the largest changes of each effect, on a logarithmic axis."""
-    figure = blank(7.0, 4.2, 110, "constrained")
-    axis = figure.add_subplot()
-    for k, (name, colour) in enumerate(zip(SHOWN.values(), ("#0072b2", "#d55e00", "#009e73"), strict=True)):
-        places = np.arange(len(largest)) + 0.27 * (k - 1)
-        axis.barh(places, [max(cells[k], LEAST) for cells in largest.values()], 0.27, color=colour, label=name)
-    axis.set_yticks(range(len(largest)), list(largest), fontsize=8)
-    axis.set(xscale="log", xlim=(LEAST, 100.0), xlabel="largest change without the effect (%)")
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.invert_yaxis()
-    axis.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    save(figure, EVIDENCE / "effects.png")
+    with drawing("effects", 7.0, 4.2, "constrained") as figure:
+        axis = figure.add_subplot()
+        for k, (name, colour) in enumerate(zip(SHOWN.values(), ("#0072b2", "#d55e00", "#009e73"), strict=True)):
+            places = np.arange(len(largest)) + 0.27 * (k - 1)
+            axis.barh(places, [max(cells[k], LEAST) for cells in largest.values()], 0.27, color=colour, label=name)
+        axis.set_yticks(range(len(largest)), list(largest), fontsize=8)
+        axis.set(xscale="log", xlim=(LEAST, 100.0), xlabel="largest change without the effect (%)")
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.invert_yaxis()
+        axis.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def write(changes: list[Row], against: list[Row]) -> None:

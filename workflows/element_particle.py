@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from pages import computed, impact_tables, number, options, study, versions, write_parts
-from study_table import Row
+from pages import computed, impact_tables, options, versions, write_parts
+from study_table import Row, number, study
 
 from coupler import Scene
 from coupler.errors import SolverError
@@ -223,8 +223,7 @@ def main() -> None:
     """Compute the rows that the table lacks; write the part of the page."""
     a = options(__doc__, "docs")
     keys = ((case, method, f"{size:g}") for size, case, method in itertools.product(SIZES, CASES, METHODS))
-    remake = "python workflows/element_particle.py"
-    table = study("element_particle", KEY, remake, () if a.docs else keys, row_of, may_fail=True)
+    table = study("element_particle", KEY, () if a.docs else keys, row_of, may_fail=True)
     write_parts("accuracy", {"element particle": part(table.rows)})
 
 

@@ -13,21 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.ticker import NullFormatter
-from pages import (
-    EVIDENCE,
-    column,
-    impact_tables,
-    markdown,
-    measurements,
-    number,
-    options,
-    reason,
-    spent,
-    study,
-    versions,
-    write_parts,
-)
-from study_table import Row
+from pages import drawing, impact_tables, markdown, options, spent, versions, write_parts
+from study_table import Row, column, measurements, number, reason, study
 
 from coupler import Result, Scene, run
 from coupler.deposition.error import Companions
@@ -37,7 +24,6 @@ from coupler.measures import CONVERGING, MEASURES
 from coupler.measures import measure as record
 from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
-from coupler.report.picture import blank, save
 
 SCENES = measurements("accuracy", "scenes")
 PRESETS = ("draft", "standard", "fine")
@@ -129,35 +115,34 @@ def time_part(rows: Sequence[Row]) -> list[str]:
 
 def draw(rows: Sequence[Row]) -> None:
     """Difference from fine over time at the presets, and the printed error over the true difference."""
-    figure = blank(10.0, 4.2, 110, "constrained")
-    left, right = figure.subplots(1, 2)
     coarse, standard = (by_scene(rows, preset) for preset in PRESETS[:2])
-    for scene in (name for name in coarse if name in standard):
-        pair = coarse[scene], standard[scene]
-        left.loglog(*([values[k] for values in pair] for k in (0, 2)), "-", color="0.8", lw=0.8)
-    for preset, of, colour in zip(PRESETS, (coarse, standard), ("C1", "C2"), strict=False):
-        seconds, _, off = np.array(list(of.values())).T
-        left.loglog(seconds, off, ".", color=colour, alpha=0.6)
-        middle, label = (np.median(seconds), np.nanmedian(off)), f"{preset} (diamond: median)"
-        left.loglog(*middle, "D", color=colour, ms=9, mec="k", label=label)
-        found = np.array([pair for key in CONVERGING for pair in pairs(rows, preset, key)]).T * 100.0
-        right.loglog(found[1], found[0], ".", color=colour, label=preset, alpha=0.7)
-    ends = (0.01, 300.0)
-    right.loglog(ends, ends, "k-", lw=0.8)
-    right.text(20.0, 0.03, "fine outside", fontsize=9)
-    right.text(0.015, 100.0, "fine within", fontsize=9)
-    right.set(xlabel="difference from fine (%)", ylabel="printed error (%)", xlim=ends, ylim=ends)
-    left.set(xlabel="processor time (s)", ylabel="median difference of the measures\nfrom fine (%)")
-    left.set_title("a line for each scene", fontsize=10)
-    right.set_title("all measures of all scenes", fontsize=10)
-    for axes in (left, right):
-        axes.legend(fontsize=8)
-        for scale in (axes.xaxis, axes.yaxis):
-            scale.set_major_formatter("{x:g}")
-            scale.set_minor_formatter(NullFormatter())
-    left.set_xticks((2, 5, 10, 20, 50, 100))
-    left.set_yticks((1, 2, 5, 10, 20))
-    save(figure, EVIDENCE / "errors.png")
+    with drawing("errors", 10.0, 4.2, "constrained") as figure:
+        left, right = figure.subplots(1, 2)
+        for scene in (name for name in coarse if name in standard):
+            pair = coarse[scene], standard[scene]
+            left.loglog(*([values[k] for values in pair] for k in (0, 2)), "-", color="0.8", lw=0.8)
+        for preset, of, colour in zip(PRESETS, (coarse, standard), ("C1", "C2"), strict=False):
+            seconds, _, off = np.array(list(of.values())).T
+            left.loglog(seconds, off, ".", color=colour, alpha=0.6)
+            middle, label = (np.median(seconds), np.nanmedian(off)), f"{preset} (diamond: median)"
+            left.loglog(*middle, "D", color=colour, ms=9, mec="k", label=label)
+            found = np.array([pair for key in CONVERGING for pair in pairs(rows, preset, key)]).T * 100.0
+            right.loglog(found[1], found[0], ".", color=colour, label=preset, alpha=0.7)
+        ends = (0.01, 300.0)
+        right.loglog(ends, ends, "k-", lw=0.8)
+        right.text(20.0, 0.03, "fine outside", fontsize=9)
+        right.text(0.015, 100.0, "fine within", fontsize=9)
+        right.set(xlabel="difference from fine (%)", ylabel="printed error (%)", xlim=ends, ylim=ends)
+        left.set(xlabel="processor time (s)", ylabel="median difference of the measures\nfrom fine (%)")
+        left.set_title("a line for each scene", fontsize=10)
+        right.set_title("all measures of all scenes", fontsize=10)
+        for axes in (left, right):
+            axes.legend(fontsize=8)
+            for scale in (axes.xaxis, axes.yaxis):
+                scale.set_major_formatter("{x:g}")
+                scale.set_minor_formatter(NullFormatter())
+        left.set_xticks((2, 5, 10, 20, 50, 100))
+        left.set_yticks((1, 2, 5, 10, 20))
 
 
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
@@ -172,11 +157,10 @@ def forecast(rows: Sequence[Row]) -> dict[str, float]:
 
 def main() -> None:
     keys = ((name, preset) for preset in PRESETS for name in SCENES)
-    docs = options(__doc__, "docs").docs
-    known = study("errors", ("scene", "preset"), "python workflows/errors.py", () if docs else keys, compute)
-    print("FORECAST =", forecast(known.rows))
-    draw(known.rows)
-    write_parts("accuracy", {"time": time_part(known.rows), "errors": table_part(known.rows)})
+    rows = study("errors", ("scene", "preset"), () if options(__doc__, "docs").docs else keys, compute).rows
+    print("FORECAST =", forecast(rows))
+    draw(rows)
+    write_parts("accuracy", {"time": time_part(rows), "errors": table_part(rows)})
 
 
 if __name__ == "__main__":

@@ -7,35 +7,19 @@ The measurements, readings, bands and suspects are in measurements.toml. Each ru
 splats_4340.csv or aluminium.csv that is not computed again. Nothing is fitted.
 """
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from pages import (
-    EVIDENCE,
-    column,
-    computed,
-    impact_tables,
-    markdown,
-    measurements,
-    number,
-    options,
-    study,
-    table_rows,
-    versions,
-    with_error,
-    write_parts,
-)
-from study_table import Row
+from pages import computed, drawing, impact_tables, markdown, options, versions, with_error, write_parts
+from study_table import Row, column, measurements, number, study, table_rows
 
 from coupler import Scene
 from coupler.physics.materials import entry, material
 from coupler.physics.strength import HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT
-from coupler.report.picture import blank, save
 
 REBOUND, SPLAT, ALUMINIUM = measurements("rebound"), measurements("splat"), measurements("aluminium")
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
@@ -43,13 +27,11 @@ PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
 PROBED = {"Ni": (310, 473), "OFHC_Cu": (315, 489)}  # m/s, where the band is computed
 KEY = ("metal", "set", "velocity_m_s", "preset", "contact_stiffness")
+Key = tuple[str, str, str, str, str]
 SUSPECTS = {(name, f"{v:g}"): change for name, change in ALUMINIUM["suspects"].items() for v, _ in ALUMINIUM["e"]} | {
     (f"{name}, bonds", f"{v:g}"): change for name, change in ALUMINIUM["bonds"].items() for v in ALUMINIUM["bonded_m_s"]
 }
 BONDED = {"adhesion": {"kind": "cohesive", "criterion": "exposure"}}  # of the suspects with bonds
-
-
-Key = tuple[str, str, str, str, str]
 
 
 def in_window(velocity: float) -> bool:
@@ -58,34 +40,34 @@ def in_window(velocity: float) -> bool:
     return bool(low <= velocity <= high)
 
 
-def rebounds(preset: str) -> Iterator[Key]:
+def first_set(metal: str) -> str:
+    """The strength set of a metal that is used unless another is named."""
+    return next(iter(entry(metal).sets))
+
+
+def rebounds(preset: str) -> list[Key]:
     """All measured velocities with all sets, those of the window first."""
-    for inside in (True, False):
-        for metal in METALS:
-            for name in entry(metal).sets:
-                for v, _ in REBOUND[metal]["e"]:
-                    if in_window(v) == inside:
-                        yield metal, name, f"{v:g}", preset, "1"
+    found = [(metal, name, v) for metal in METALS for name in entry(metal).sets for v, _ in REBOUND[metal]["e"]]
+    found.sort(key=lambda each: not in_window(each[2]))
+    return [(metal, name, f"{v:g}", preset, "1") for metal, name, v in found]
 
 
-def fine() -> Iterator[Key]:
+def fine() -> list[Key]:
     """Those of the window with more points, the first set of each metal first."""
     keys = [key for key in rebounds("standard") if in_window(float(key[2]))]
-    yield from sorted(keys, key=lambda key: key[1] != next(iter(entry(key[0]).sets)))
+    return sorted(keys, key=lambda key: key[1] != first_set(key[0]))
 
 
-def band() -> Iterator[Key]:
+def band() -> list[Key]:
     """A softer and a stiffer contact, with the first set."""
-    for metal, velocities in PROBED.items():
-        for v, factor in itertools.product(velocities, STIFFNESS):
-            yield metal, next(iter(entry(metal).sets)), f"{v:g}", "draft", f"{factor:g}"
+    probed = [(metal, v, factor) for metal, speeds in PROBED.items() for v in speeds for factor in STIFFNESS]
+    return [(metal, first_set(metal), f"{v:g}", "draft", f"{factor:g}") for metal, v, factor in probed]
 
 
-def splats() -> Iterator[Key]:
+def splats() -> list[Key]:
     """Single particles on 4340 at the mean velocity, with all sets of the metals named."""
-    for metal in SPLAT["computed"]:
-        for name in entry(metal).sets:
-            yield metal, name, f"{SPLAT['velocity_m_s']:g}", "draft", "1"
+    sets = [(metal, name) for metal in SPLAT["computed"] for name in entry(metal).sets]
+    return [(metal, name, f"{SPLAT['velocity_m_s']:g}", "draft", "1") for metal, name in sets]
 
 
 def scene_of(metal: str, strength: str, velocity: float, diameter: float, target: str, preset: str = "draft") -> Scene:
@@ -155,7 +137,7 @@ def errors(rows: Sequence[Row], metal: str, name: str, preset: str) -> tuple[flo
 
 def band_of(rows: Sequence[Row], metal: str) -> float:
     """Half-width of the band of the discretisation of the restitution of a metal; as measurements.toml says, of the parts computed."""
-    first = next(iter(entry(metal).sets))
+    first = first_set(metal)
     coarse, standard = (dict(zip(*curve(rows, metal, first, preset), strict=True)) for preset in PRESETS)
     points = [abs(standard[v] - coarse[v]) for v in standard if v in coarse and in_window(v)]
     stiffness = []
@@ -218,28 +200,31 @@ def suspects_part(rows: Sequence[Row]) -> list[str]:
     return [*markdown(head, lines), "", *markdown(second, margins, rows)]
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
+def draw(rows: Sequence[Row]) -> None:
     """Restitution over velocity, measured and of every set, with the bands of both sides."""
-    figure = blank(11.0, 5.6, 110)
+    with drawing("restitution_sets", 11.0, 5.6) as figure:
+        for left, metal in zip((0.07, 0.56), METALS, strict=True):
+            draw_metal(figure.add_axes((left, 0.3, 0.42, 0.65)), rows, metal)
+
+
+def draw_metal(axis: Axes, rows: Sequence[Row], metal: str) -> None:
+    """The panel of a metal."""
     colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9")
-    for left, metal in zip((0.07, 0.56), METALS, strict=True):
-        axis = figure.add_axes((left, 0.3, 0.42, 0.65))
-        v, e = np.array(REBOUND[metal]["e"]).T
-        axis.errorbar(v, e, REBOUND["e_error"], v * REBOUND["velocity_error"], fmt="ks", ms=4, lw=1, label="measured")
-        half = band_of(rows, metal)
-        for name, colour in zip(entry(metal).sets, colours, strict=False):
-            for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
-                x, y = curve(rows, metal, name, preset)
-                face = "none" if preset == "draft" else colour
-                axis.plot(x, y, style, color=colour, ms=4, lw=1.2, label=f"{name}, {preset}", mfc=face)
-            if len(x) and math.isfinite(half):
-                axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
-        axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")
-        axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
-        axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
-        axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
-        axis.legend(fontsize=6.5, ncols=3, columnspacing=1.0, loc="upper center", bbox_to_anchor=(0.5, -0.13))
-    save(figure, path)
+    v, e = np.array(REBOUND[metal]["e"]).T
+    axis.errorbar(v, e, REBOUND["e_error"], v * REBOUND["velocity_error"], fmt="ks", ms=4, lw=1, label="measured")
+    half = band_of(rows, metal)
+    for name, colour in zip(entry(metal).sets, colours, strict=False):
+        for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
+            x, y = curve(rows, metal, name, preset)
+            face = "none" if preset == "draft" else colour
+            axis.plot(x, y, style, color=colour, ms=4, lw=1.2, label=f"{name}, {preset}", mfc=face)
+        if len(x) and math.isfinite(half):
+            axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
+    axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")
+    axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
+    axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
+    axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
+    axis.legend(fontsize=6.5, ncols=3, columnspacing=1.0, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 
 
 PARTS = {  # name: table, keys
@@ -251,15 +236,14 @@ PARTS = {  # name: table, keys
 def main() -> None:
     """Run what is missing, write the page."""
     a = options(__doc__, "docs", only=[*PARTS, "aluminium"])
-    remake = "python workflows/experiments.py"
     for part in () if a.docs else a.only:
         if part == "aluminium":
-            study("aluminium", ("suspect", "velocity_m_s"), remake, SUSPECTS, suspect_row)
+            study("aluminium", ("suspect", "velocity_m_s"), SUSPECTS, suspect_row)
         else:
             name, keys = PARTS[part]
-            study(name, KEY, remake, keys(), partial(row_of, splat=part == "splats"), may_fail=True)
+            study(name, KEY, keys(), partial(row_of, splat=part == "splats"), may_fail=True)
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
-    draw(rebound, EVIDENCE / "restitution_sets.png")
+    draw(rebound)
     parts = {"restitution": restitution_part(rebound), "splats": splat_part(splat)}
     write_parts("experiments", {**parts, "aluminium": suspects_part(table_rows("aluminium"))})
 

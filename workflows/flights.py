@@ -8,10 +8,10 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
-from pages import TABLES, markdown, measurements, write_parts, write_table
+from pages import markdown, write_parts
+from study_table import WORKFLOWS, measurements, write_table
 
 from coupler import __version__
 from coupler.measures import STICKS
@@ -23,7 +23,6 @@ from coupler.spray.nozzles import Nozzle, from_tables
 from coupler.spray.sizes import Sizes
 from coupler.spray.window import Spray, spray
 
-HERE = Path(__file__).parent
 MEASURED = measurements("flights")
 BAND = 0.2  # of the critical velocity
 ATMOSPHERE, ZERO = 1.01325e5, 273.15
@@ -31,7 +30,7 @@ ATMOSPHERE, ZERO = 1.01325e5, 273.15
 
 def nozzles() -> dict[str, Nozzle]:
     """The nozzles of the sources."""
-    found, problems = from_tables(tomllib.loads((HERE / "laboratory_nozzles.toml").read_text())["nozzles"])
+    found, problems = from_tables(tomllib.loads((WORKFLOWS / "laboratory_nozzles.toml").read_text())["nozzles"])
     assert not problems
     return found
 
@@ -115,7 +114,7 @@ def main() -> None:
     table = rows()
     for r in table:
         print(*r.values(), sep=", ")
-    write_table(TABLES / "flights.csv", table, "remake: python workflows/flights.py")
+    write_table("flights", table)
     write_parts("gas", {"flights": part(table)})
 
 

@@ -20,8 +20,9 @@ from typing import Any
 
 import nbformat
 from nbclient import NotebookClient
-from pages import DOCS, spent
+from pages import spent
 from PIL import Image
+from study_table import DOCS
 
 from coupler import __version__
 

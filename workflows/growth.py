@@ -7,10 +7,10 @@ before becomes a body, joins, comes to rest; building). --docs computes nothing 
 
 import random
 
-from pages import EVIDENCE, TABLES, column, computed, impact_tables, options, table_rows, write_table
+from pages import computed, drawing, impact_tables, options
+from study_table import column, table_rows, write_table
 
 from coupler import Result, Scene
-from coupler.report.picture import blank, save
 
 
 def scene(impacts: int, seed: int) -> Scene:
@@ -43,16 +43,15 @@ def draw() -> None:
     """Time of each impact, and its number of steps."""
     rows = table_rows("growth")
     number, before, steps = (column(rows, name) for name in ("impact", "before s", "steps s"))
-    figure = blank(6.0, 3.2, 110)
-    axes = figure.add_axes((0.11, 0.16, 0.77, 0.81))
-    axes.bar(number, before, color="#999999", label="new body, joining, equilibrium")
-    axes.bar(number, steps, bottom=before, color="#0072b2", label="steps of the impact")
-    axes.set(xlabel="impact", ylabel="time of one core (s)", xticks=number)
-    right = axes.twinx()
-    right.plot(number, column(rows, "steps"), "ko--", ms=4, label="number of steps (right)")
-    right.set_ylim(0, None)
-    figure.legend(loc="upper left", bbox_to_anchor=(0.11, 0.97))
-    save(figure, EVIDENCE / "growth.png")
+    with drawing("growth", 6.0, 3.2) as figure:
+        axes = figure.add_axes((0.11, 0.16, 0.77, 0.81))
+        axes.bar(number, before, color="#999999", label="new body, joining, equilibrium")
+        axes.bar(number, steps, bottom=before, color="#0072b2", label="steps of the impact")
+        axes.set(xlabel="impact", ylabel="time of one core (s)", xticks=number)
+        right = axes.twinx()
+        right.plot(number, column(rows, "steps"), "ko--", ms=4, label="number of steps (right)")
+        right.set_ylim(0, None)
+        figure.legend(loc="upper left", bbox_to_anchor=(0.11, 0.97))
 
 
 def main() -> None:
@@ -60,7 +59,7 @@ def main() -> None:
     a = options(__doc__, "docs", impacts=10, seed=2)
     if not a.docs:
         with computed(scene(a.impacts, a.seed)) as (result, _):
-            write_table(TABLES / "growth.csv", rows_of(result), "remake: python workflows/growth.py")
+            write_table("growth", rows_of(result))
     draw()
 
 

@@ -6,18 +6,17 @@ they differ by more than the root of the sum of the squares of their errors, tho
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import coating_stress
 import experiments
 import numpy as np
-from pages import EVIDENCE, column, markdown, number, table_rows, with_error, write_parts
+from pages import drawing, markdown, with_error, write_parts
+from study_table import column, number, table_rows
 from validation_page import scattered, seven
 
 from coupler.physics.materials import entry
 from coupler.plan import refinement
-from coupler.report.picture import blank, save
 
 VALIDATION, IMPACTS = "[validation](validation.md)", "[impacts](experiments.md)"
 COATINGS = "[coatings](coating_stress.md)"
@@ -134,18 +133,17 @@ def table(pairs: list[Pair]) -> list[str]:
     return [told, "", *markdown("quantity | case | measured | computed | apart", lines)]
 
 
-def draw(pairs: list[Pair], path: Path) -> None:
+def draw(pairs: list[Pair]) -> None:
     """Computed over measured values of each kind."""
     kinds = list(dict.fromkeys(p.kind for p in pairs))
-    figure = blank(11.0, 6.4, 110, "constrained")
-    for axes, kind in zip(figure.subplots(2, 3).flat, kinds, strict=True):
-        own = [p for p in pairs if p.kind == kind]
-        x, dx, y, dy = (np.nan_to_num([p[k] for p in own]) for k in (2, 3, 4, 5))
-        axes.errorbar(x, y, dy, dx, "o", ms=4, capsize=2)
-        ends = np.array([min((x - dx).min(), (y - dy).min()), max((x + dx).max(), (y + dy).max())])
-        axes.plot(ends, ends, "--", color="0.5", lw=1)
-        axes.set(title=kind, xlabel="measured", ylabel="computed")
-    save(figure, path)
+    with drawing("how_good", 11.0, 6.4, "constrained") as figure:
+        for axes, kind in zip(figure.subplots(2, 3).flat, kinds, strict=True):
+            own = [p for p in pairs if p.kind == kind]
+            x, dx, y, dy = (np.nan_to_num([p[k] for p in own]) for k in (2, 3, 4, 5))
+            axes.errorbar(x, y, dy, dx, "o", ms=4, capsize=2)
+            ends = np.array([min((x - dx).min(), (y - dy).min()), max((x + dx).max(), (y + dy).max())])
+            axes.plot(ends, ends, "--", color="0.5", lw=1)
+            axes.set(title=kind, xlabel="measured", ylabel="computed")
 
 
 def main() -> None:
@@ -153,7 +151,7 @@ def main() -> None:
     found = pairs()
     lines = table(found)
     print(lines[0])
-    draw(found, EVIDENCE / "how_good.png")
+    draw(found)
     write_parts("how_good", {"table": lines})
 
 

@@ -4,20 +4,20 @@ Five fast impacts at the presets, one of them with 64,000 points, and with the p
 Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
 """
 
+import itertools
 import time
 from collections.abc import Mapping
 
 import numpy as np
 from element_particle import EFFECTS, ElementImpact, strike
-from pages import EVIDENCE, column, computed, impact_tables, markdown, number, options, spacing_of, study, write_parts
-from study_table import Row
+from pages import computed, drawing, impact_tables, markdown, options, spacing_of, write_parts
+from study_table import Row, column, number, study
 
 from coupler import Scene
 from coupler.errors import SolverError
 from coupler.impact.exchange import Impact
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import plan
-from coupler.report.picture import blank, save
 
 CASES = {
     "Ni 25 µm, 1000 m/s, on SS304": ("Ni", 25, 1000, "SS304"),
@@ -44,13 +44,18 @@ def by_elements(case: str, size: float) -> dict[str, object]:
     """Follow the particle as finite elements until it rests or an element fails. size: edges, um."""
     spacing = round(size / ELEMENT_SIZE_OVER_SPACING, 6)
     impact = ElementImpact(plan(scene(case, "fine", spacing, effects=EFFECTS)), size * 1e-6)
-    t, own = impact.target, impact.elements
-    undeformed = np.linalg.inv(_edges(t.nodes.x, t.mesh.conn[own]))
+    t, tets = impact.target, impact.target.mesh.conn[impact.elements]
+
+    def edges() -> np.ndarray:
+        """Edges (m, 3, 3) of the tetrahedra from their first node, m."""
+        return t.nodes.x[tets[:, 1:]] - t.nodes.x[tets[:, :1]]
+
+    undeformed = np.linalg.inv(edges())
     started, ended, last = time.process_time(), "at rest", (np.eye(3)[None], impact.measures())
 
     def probe() -> None:
         nonlocal last
-        last = np.swapaxes(undeformed @ _edges(t.nodes.x, t.mesh.conn[own]), 1, 2), impact.measures()
+        last = np.swapaxes(undeformed @ edges(), 1, 2), impact.measures()
 
     try:
         strike(impact, probe)
@@ -59,11 +64,6 @@ def by_elements(case: str, size: float) -> dict[str, object]:
     F, measures = last
     row = _row(case, F, t.nodes.x[impact.nodes], measures)
     return {**row, "cpu_s": round(time.process_time() - started, 1), "ended": ended}
-
-
-def _edges(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Edges (m, 3, 3) of tetrahedra from their first node, m."""
-    return x[tets[:, 1:]] - x[tets[:, :1]]
 
 
 def by_points(case: str, what: str) -> dict[str, object]:
@@ -99,57 +99,52 @@ def row_of(case: str, what: str) -> dict[str, object]:
     return by_elements(case, float(what.split()[1])) if what.startswith("elements") else by_points(case, what)
 
 
+def at_rest(rows: list[Row], case: str, body: str) -> list[Row]:
+    """The rows of a case that came to rest, with the particle as "points" or as "elements"."""
+    own = [row for row in rows if row["case"] == case and row["ended"] == "at rest"]
+    return [row for row in own if ("elements" in row["preset"]) == (body == "elements")]
+
+
 def page(rows: list[Row]) -> None:
     """Write the table of the page: of each impact the measures at the presets."""
-    lines = []
-    for case in CASES:
-        for body, own in bodies(rows, case).items():
-            measures = (("stretch_median", "{:.2f}"), ("stretch_99", "{:.1f}"), ("height", "{:.2f}"), ("thickness", "{:.2f}"),
-                        ("diameter", "{:.2f}"), ("jet_um", "{:.1f}"))  # fmt: skip
-            cells = ["/".join(form.format(number(row, name)) for row in own) for name, form in measures]
-            lines.append([case if body == "points" else "", body, *cells])
+    measures, lines = (
+        {"stretch_median": 2, "stretch_99": 1, "height": 2, "thickness": 2, "diameter": 2, "jet_um": 1},
+        [],
+    )
+    for case, body in itertools.product(CASES, ("points", "elements")):
+        own = at_rest(rows, case, body)
+        cells = ["/".join(f"{number(row, name):.{digits}f}" for row in own) for name, digits in measures.items()]
+        lines.append([case if body == "points" else "", body, *cells])
     head = "impact | particle of | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
     write_parts("jets", {"table": markdown(head, lines, rows)})
 
 
-def bodies(rows: list[Row], case: str) -> dict[str, list[Row]]:
-    """The rows of a case that came to rest, with the particle as points, and as elements."""
-    own = [row for row in rows if row["case"] == case and row["ended"] == "at rest"]
-    return {
-        "points": [row for row in own if "elements" not in row["preset"]],
-        "elements": [row for row in own if "elements" in row["preset"]],
-    }
-
-
-def figure(rows: list[Row]) -> None:
+def draw(rows: list[Row]) -> None:
     """Draw thickness and stretch over the number of points, and of elements."""
-    drawing = blank(9.6, 3.8, 110, "constrained")
-    left, right = drawing.subplots(1, 2)
-    for k, case in enumerate(CASES):
-        for body, own in bodies(rows, case).items():
-            full = body == "points"
+    with drawing("jets", 9.6, 3.8, "constrained") as figure:
+        left, right = figure.subplots(1, 2)
+        for (k, case), body in itertools.product(enumerate(CASES), ("points", "elements")):
+            own, full = at_rest(rows, case, body), body == "points"
             style = {"color": f"C{k}", "ls": "-" if full else "--", "mfc": None if full else "none"}
             size = column(own, "points")
             left.semilogx(size, column(own, "thickness"), "o", label=case if full else None, **style)
             right.semilogx(size, column(own, "stretch_99"), "o", **style)
             right.semilogx(size, column(own, "stretch_median"), "s", ms=4, alpha=0.5, **style)
-    left.set(ylabel="thickness / diameter", title="99 % of the volume")
-    right.set(ylabel="largest principal stretch", title="circles: 99th percentile; squares: median")
-    for axes in (left, right):
-        axes.set_xlabel("points (full lines), elements (dashed)")
-        axes.set_ylim(bottom=0.0)
-    drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    save(drawing, EVIDENCE / "jets.png")
+        left.set(ylabel="thickness / diameter", title="99 % of the volume")
+        right.set(ylabel="largest principal stretch", title="circles: 99th percentile; squares: median")
+        for axes in (left, right):
+            axes.set_xlabel("points (full lines), elements (dashed)")
+            axes.set_ylim(bottom=0.0)
+        figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
 
 
 def main() -> None:
     """Compute the rows that the table lacks, the cheap ones first, and write the page."""
     whats = (*PRESETS, *(f"elements {size:g} um" for size in SIZES))
     keys = [*((case, what) for what in whats for case in CASES), FINEST]
-    docs = options(__doc__, "docs").docs
-    table = study("jets", ("case", "preset"), "python workflows/jets.py", () if docs else keys, row_of)
+    table = study("jets", ("case", "preset"), () if options(__doc__, "docs").docs else keys, row_of)
     page(table.rows)
-    figure(table.rows)
+    draw(table.rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Table and sentence of the page of the nickel map, from docs/tables/map_ni.csv: python workflows/map_page.py"""
 
-from pages import markdown, number, table_rows, versions, write_parts
+from pages import markdown, versions, write_parts
+from study_table import number, table_rows
 
 from coupler.studies.maps import interpolate
 

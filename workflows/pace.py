@@ -12,8 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import stability
-from pages import computed, impact_tables, options, study, table_rows
+from pages import computed, impact_tables, options
 from scipy.optimize import least_squares
+from study_table import study, table_rows
 
 from coupler.physics.materials import Material, material
 from coupler.physics.shapes import sphere_volume
@@ -119,7 +120,7 @@ def main() -> None:
         return
     sample = list(drawn())
     keys = ((*each, preset) for preset, each in itertools.product(SAMPLED, sample))
-    study("pace_sample", (*DRAWN, "preset"), "python workflows/pace.py", keys, row_of)
+    study("pace_sample", (*DRAWN, "preset"), keys, row_of)
 
 
 if __name__ == "__main__":

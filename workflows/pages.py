@@ -1,4 +1,4 @@
-"""Shared by the scripts of this folder: the places of tables and pages, and the parts of pages that are written from tables."""
+"""Shared by the scripts of this folder: their options, scenes and runs, and the parts and figures of pages that are made of tables."""
 
 import argparse
 import math
@@ -9,76 +9,35 @@ import resource
 import tempfile
 import time
 import timeit
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from study_table import Row, StudyTable, read_rows
+from matplotlib.figure import Figure
+from study_table import DOCS, WORKFLOWS
 
-from coupler import Result, Scene, __version__, run
-from coupler.errors import ColdsprayError
-from coupler.studies.table import write_rows
+from coupler import Result, Scene, run
+from coupler.report.picture import blank, save
 
-ROOT = Path(__file__).resolve().parents[1]
-DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
 EVIDENCE = DOCS / "evidence"
 
 
-def study(
-    name: str,
-    key: Sequence[str],
-    remake: str,
-    keys: Iterable[tuple[str, ...]] = (),
-    row_of: Callable[..., Mapping[str, object]] = dict,
-    may_fail: bool = False,
-) -> StudyTable:
-    """The table docs/tables/NAME.csv of a study, with the rows of keys computed and printed that it lacks. remake: the command.
-
-    key: the columns that identify a row; row_of: of the values of a key, the other columns. may_fail: a run can end with an error, its
-    reason is then in the column `failed`.
-    """
-    about = f"remake: {remake} (rows in this table are not computed again)"
-    table = StudyTable(TABLES / f"{name}.csv", key, about)
-    for values in keys:
-        if values not in table:
-            row: dict[str, object] = dict(zip(key, values, strict=True))
-            try:
-                row |= row_of(*values)
-                if may_fail:
-                    row["failed"] = ""
-            except ColdsprayError as problem:
-                if not may_fail:
-                    raise
-                row["failed"] = reason(problem)
-            print(*filter(None, table.add(row).values()), sep=" | ", flush=True)
-    return table
+def scene_file(name: str, **changes: object) -> Scene:
+    """The scene workflows/NAME.toml with changes of its tables."""
+    return Scene.load(WORKFLOWS / f"{name}.toml").with_(**changes)
 
 
-def reason(problem: Exception) -> str:
-    """What a table says of an error, in one line."""
-    return " ".join(str(problem).split())[:200]
-
-
-def measurements(section: str, file: str = "measurements") -> dict[str, Any]:
-    """A table of workflows/FILE.toml: measured values, how they were read, and what was fixed before the runs; or scenes."""
-    known: dict[str, Any] = tomllib.loads((ROOT / "workflows" / f"{file}.toml").read_text(encoding="utf-8"))
-    return known[section]  # type: ignore[no-any-return]
-
-
-def table_rows(name: str) -> list[Row]:
-    """The rows of docs/tables/NAME.csv, none if it does not exist."""
-    path = TABLES / f"{name}.csv"
-    return read_rows(path) if path.exists() else []
-
-
-def write_table(path: Path, rows: Sequence[Mapping[str, object]], about: str) -> None:
-    """Write a table whose rows are all of this version. about: lines above the header, the first says how to remake it."""
-    write_rows(path, [*rows[0], "version"], [{**row, "version": __version__} for row in rows], about)
+@contextmanager
+def drawing(
+    name: str, width: float, height: float, layout: Literal["constrained"] | None = None, dpi: float = 110.0
+) -> Iterator[Figure]:
+    """A figure of so many inches, which is written to docs/evidence/NAME.png at the end."""
+    figure = blank(width, height, dpi, layout)
+    yield figure
+    save(figure, EVIDENCE / f"{name}.png")
 
 
 def spent() -> float:
@@ -147,16 +106,6 @@ def reference(now: Callable[[], float] = time.perf_counter) -> float:
 def machine() -> str:
     """The machine that times were taken on, for the head of a table."""
     return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
-
-
-def number(row: Mapping[str, str], column: str) -> float:
-    """A value of a table, nan where there is none."""
-    return float(row.get(column) or "nan")
-
-
-def column(rows: Iterable[Mapping[str, str]], name: str) -> NDArray[np.float64]:
-    """A column of a table as numbers (k,), nan where there is none."""
-    return np.array([number(row, name) for row in rows])
 
 
 def with_error(value: float, error: float, digits: int) -> str:

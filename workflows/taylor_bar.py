@@ -13,8 +13,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import EVIDENCE, ROOT, column, options, study, table_rows
+from pages import drawing, options
 from scipy.spatial import ConvexHull
+from study_table import DOCS, column, study, table_rows
 
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare
@@ -27,7 +28,6 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
-from coupler.report.picture import blank, save
 
 LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # mm; a quarter of an hour on one core
 POINTS = (500, 1000, 2000, 4000, 8000, 16000)  # some ten minutes
@@ -41,7 +41,7 @@ NUMERICS = Numerics(courant=0.3, stretch=0.8)
 
 def reference(case: str) -> dict[str, Any]:
     """The case as tests/data/references.toml has it; `results`: by author, lengths in mm, T_max in degrees Celsius."""
-    return tomllib.loads((ROOT / "tests" / "data" / "references.toml").read_text())[f"taylor_{case}"]
+    return tomllib.loads((DOCS.parent / "tests" / "data" / "references.toml").read_text())[f"taylor_{case}"]
 
 
 def bar(case: str, size: float | str) -> dict[str, float]:
@@ -143,32 +143,26 @@ def taylor_bar(points: int | str, numerics: Numerics = NUMERICS, engine: str = "
 
 def draw() -> None:
     """Length and diameter of the struck face of the steel bar over the number of elements or points, and the references."""
-    figure = blank(8.0, 3.4, 110)
     elements = [row for row in table_rows("taylor_bar") if row["case"] == "42CrMo4"]
     points = table_rows("taylor_bar_sph")
-    for left, name, title in (
-        (0.09, "length", "final length (mm)"),
-        (0.59, "diameter", "diameter of the struck face (mm)"),
-    ):
-        axes = figure.add_axes((left, 0.16, 0.38, 0.75))
-        axes.plot(column(elements, "elements"), column(elements, name), "o-", label="elements")
-        axes.plot(column(points, "points"), column(points, f"{name}_mm"), "s--", label="points")
-        others = [values[name] for values in reference("42CrMo4")["results"].values()]
-        axes.axhspan(min(others), max(others), color="k", alpha=0.15, lw=0, label="DynELA and Abaqus")
-        axes.set(title=title, xscale="log", xlabel="number of elements or points")
-        if name == "diameter":
-            axes.legend(fontsize=8)
-    save(figure, EVIDENCE / "taylor_bar.png")
+    panels = {"length": (0.09, "final length (mm)"), "diameter": (0.59, "diameter of the struck face (mm)")}
+    with drawing("taylor_bar", 8.0, 3.4) as figure:
+        for name, (left, title) in panels.items():
+            axes = figure.add_axes((left, 0.16, 0.38, 0.75))
+            axes.plot(column(elements, "elements"), column(elements, name), "o-", label="elements")
+            axes.plot(column(points, "points"), column(points, f"{name}_mm"), "s--", label="points")
+            others = [values[name] for values in reference("42CrMo4")["results"].values()]
+            axes.axhspan(min(others), max(others), color="k", alpha=0.15, lw=0, label="DynELA and Abaqus")
+            axes.set(title=title, xscale="log", xlabel="number of elements or points")
+        axes.legend(fontsize=8)
 
 
 def main() -> None:
     """Compute what is asked for, and draw."""
-    a = options(__doc__, "docs")
-    if not a.docs:
-        remake = "python workflows/taylor_bar.py"
+    if not options(__doc__, "docs").docs:
         bars = ((case, f"{size:g}") for case, sizes in LADDER.items() for size in sizes)
-        study("taylor_bar", ("case", "size"), remake, bars, bar)
-        study("taylor_bar_sph", ("asked",), remake, ((f"{n}",) for n in POINTS), taylor_bar)
+        study("taylor_bar", ("case", "size"), bars, bar)
+        study("taylor_bar_sph", ("asked",), ((f"{n}",) for n in POINTS), taylor_bar)
     draw()
 
 

@@ -10,24 +10,22 @@ page from the tables and from paper_values.toml, `validation_figures.py` draws. 
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import validation_figures as figures
 import validation_page as page
 from numpy.typing import NDArray
-from pages import TABLES, computed, options, reason, study, write_table
+from pages import computed, options, scene_file
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
+from study_table import DOCS, reason, study, write_table
 
 from coupler import Result, Scene
 from coupler.errors import ColdsprayError
 from coupler.impact.exchange import Impact
 
-HERE = Path(__file__).parent
-RUNS = HERE.parent / "runs" / "validation"
+RUNS = DOCS.parent / "runs" / "validation"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
 TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
@@ -37,6 +35,8 @@ DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
 # Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
 SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
+STRAINED = 0.2  # plastic strain: the greatest distance of such an element of the target from the axis is tabled
+Case = tuple[str, Scene]  # a run: its key in the tables, its scene
 # Column: record that it is from (the impact, its own end, its splat at the end of the run), measure, factor from SI.
 MEASURES = {
     "diameter_um": ("impact", "diameter_m", 1e6), "speed_m_s": ("impact", "speed_m_s", 1.0), "points": ("impact", "points", 1),
@@ -51,23 +51,9 @@ MEASURES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Case:
-    """One run. name: its key in the tables; start: temperature of the particle, K."""
-
-    name: str
-    scene: Scene
-    start: float = 300.0
-
-
-def scene_of(workflow: str, preset: str = "standard", **tables: object) -> Scene:
-    """A scene of this folder at a preset, with changes of its tables."""
-    return Scene.load(HERE / f"{workflow}.toml").with_(preset=preset, **tables)
-
-
 def cases() -> Iterator[Case]:
     """Cases A to D at the preset of the page."""
-    yield from (Case(letter, scene_of(name)) for letter, name in CASES.items())
+    yield from ((letter, scene_file(name, preset="standard")) for letter, name in CASES.items())
 
 
 def pairs() -> Iterator[Case]:
@@ -75,11 +61,9 @@ def pairs() -> Iterator[Case]:
     stays = {"kind": "tied", "criterion": "plastic_strain", "threshold": 0.01}
     for v, T in page.PAPER["double_Ni"]["impacts"]:
         name, new = f"{v:.0f}-{T:.0f}K", {"velocity": f"{v:.0f} m/s", "temperature": f"{T:.0f} K"}
-        yield Case(
-            f"Ni-Ni-{name}", scene_of("double_ni_ti", particle={"material": "Ni", "diameter": "25 um", **new}), T
-        )
-        alone = scene_of("single_ni", particle=new, adhesion=stays, end={"at": None, "time": "150 ns"})
-        yield Case(f"Ni-{name}", alone, T)
+        both, end = {"material": "Ni", "diameter": "25 um", **new}, {"at": None, "time": "150 ns"}
+        yield f"Ni-Ni-{name}", scene_file("double_ni_ti", preset="standard", particle=both)
+        yield f"Ni-{name}", scene_file("single_ni", preset="standard", particle=new, adhesion=stays, end=end)
 
 
 def scatter() -> Iterator[Case]:
@@ -97,15 +81,15 @@ def scatter() -> Iterator[Case]:
             {"velocity": f"{first * ratio:.1f} m/s", "offset": [f"{x:.3f} um", f"{y:.3f} um"]}
             for ratio, (x, y) in zip(RATIOS, [(0.0, 0.0), *places], strict=True)
         ]
-        yield Case(f"D-scatter-{k}", scene_of("triple_ni", "draft", particle=particles))
+        yield f"D-scatter-{k}", scene_file("triple_ni", preset="draft", particle=particles)
 
 
 def spread() -> Iterator[Case]:
     """Cases A and B at the ends and the mean of the measured impact velocities, and A on steel without its rate term, coarse."""
-    yield Case("no-rate", scene_of(CASES["A"], "draft", materials={"SS304": {"C": 0.0}}))
+    yield "no-rate", scene_file(CASES["A"], preset="draft", materials={"SS304": {"C": 0.0}})
     for letter, speeds in SPREAD.items():
         for v in speeds:
-            yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", particle={"velocity": f"{v} m/s"}))
+            yield f"{letter}-{v}", scene_file(CASES[letter], preset="draft", particle={"velocity": f"{v} m/s"})
 
 
 def trends() -> Iterator[Case]:
@@ -116,12 +100,13 @@ def trends() -> Iterator[Case]:
         particle = {"diameter": f"{d} um", "velocity": f"{v} m/s", "temperature": f"{T} K"}
         # the cylinder of the other runs, 200 x 100 um, is too small for the largest: `check` says so
         size = {"diameter": f"{8 * d} um", "height": f"{4 * d} um"} if d > 50 else {}
-        yield Case(f"{d}um-{v}-{T}K", scene_of("single_ni", "draft", particle=particle, substrate=size), T)
+        yield f"{d}um-{v}-{T}K", scene_file("single_ni", preset="draft", particle=particle, substrate=size)
 
 
 def shapes() -> Iterator[Case]:
     """Three impacts of each of the six shapes."""
-    yield from (Case(f"shape-{name}", scene_of("morphology", "draft", particle={"shape": name})) for name in SHAPES)
+    for name in SHAPES:
+        yield f"shape-{name}", scene_file("morphology", preset="draft", particle={"shape": name})
 
 
 def widest(points: NDArray) -> float:
@@ -130,37 +115,23 @@ def widest(points: NDArray) -> float:
     return float(pdist(outline).max())
 
 
-def widths_of(result: Result) -> dict[int, float]:
-    """Largest diameter (m) of each splat that has joined the target, by the number of its impact, from 1."""
-    f = result.fields(-1, "target")
-    impact = f.data["impact"]
-    return {int(k): widest(f.points[np.unique(f.cells[impact == k])]) for k in np.unique(impact[impact > 0])}
-
-
-def strained_radius(result: Result, least: float = 0.2) -> float:
-    """Largest distance (m) from the axis at which an element of the target has a plastic strain of `least`."""
-    f = result.fields(-1, "target")
-    middle = f.points[f.cells].mean(axis=1)[f.data["eps_p"] >= least]
-    return float(np.hypot(middle[:, 0], middle[:, 1]).max()) if len(middle) else 0.0
-
-
-def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
+def rows_of(name: str, scene: Scene, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
-    rows, impacts = [], result.impacts
-    widths = widths_of(result) | {len(impacts): widest(result.fields(-1, "surface").points)}
-    radius = strained_radius(result) * 1e6
+    rows, impacts, target = [], result.impacts, result.fields(-1, "target")
+    widths = {len(impacts): widest(result.fields(-1, "surface").points)}  # of splats that have joined the target, too
+    for k in np.unique(target.data["impact"][target.data["impact"] > 0]):
+        widths.setdefault(int(k), widest(target.points[np.unique(target.cells[target.data["impact"] == k])]))
+    strained = target.points[target.cells].mean(axis=1)[target.data["eps_p"] >= STRAINED]
     for k, impact in enumerate(impacts, 1):
         end = impact["end"]
         records = {"impact": impact, "own": end, "end": impact.get("at_end", end)}
-        row: dict[str, object] = {
-            "run": case.name, "impact": k, "engine": case.scene.resolution.engine, "material": impact["material"],
-            "temperature_K": case.start,
-        }  # fmt: skip
-        row |= {
-            name: record[key] * by for name, (of, key, by) in MEASURES.items() if (record := records[of]) is not None
-        }
-        row |= {"widest_um_end": widths[k] * 1e6 if k in widths else "", "strained_radius_um": radius}
-        rows.append(row)
+        rows.append({
+            "run": name, "impact": k, "engine": scene.resolution.engine, "material": impact["material"],
+            "temperature_K": scene.particles[0].temperature,
+            **{name: of[key] * by for name, (block, key, by) in MEASURES.items() if (of := records[block]) is not None},
+            "widest_um_end": widths[k] * 1e6 if k in widths else "",
+            "strained_radius_um": float(np.hypot(*strained[:, :2].T).max(initial=0.0)) * 1e6,
+        })  # fmt: skip
     return rows
 
 
@@ -192,20 +163,20 @@ class PressureProbe:
 
 def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
     """Compute the runs that a table lacks, or RUNS where they are kept."""
-    table = study(name, ("run", "impact"), "make validate")
-    for case in cases:
-        folder = RUNS / case.name if keep else None
-        if (case.name, "1") in table and (folder is None or (folder / "summary.json").is_file()):
+    table = study(name, ("run", "impact"), remake="make validate")
+    for run, scene in cases:
+        folder = RUNS / run if keep else None
+        if (run, "1") in table and (folder is None or (folder / "summary.json").is_file()):
             continue
         try:
             probe = PressureProbe()
-            with computed(case.scene, folder, probe=probe) as (result, cpu):
-                rows = [
-                    {**row, "contact_pressure_MPa": "", "run_cpu_s": cpu, "failed": ""} for row in rows_of(case, result)
-                ]
+            with computed(scene, folder, probe=probe) as (result, cpu):
+                more = {"contact_pressure_MPa": "", "run_cpu_s": cpu, "failed": ""}
+                rows = [row | more for row in rows_of(run, scene, result)]
             rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
-            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": reason(problem)}]
+            T = scene.particles[0].temperature
+            rows = [{"run": run, "impact": 1, "temperature_K": T, "failed": reason(problem)}]
         shown = ("run", "impact", "flattening_own", "flattening_end", "run_cpu_s", "failed")
         for row in rows:
             new = table.add(row)
@@ -214,10 +185,10 @@ def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
 
 def draw_runs() -> None:
     """Draw the figures that need the fields of cases and pairs."""
-    runs = {case.name: Result(RUNS / case.name) for case in (*cases(), *pairs())}
+    runs = {name: Result(RUNS / name) for name, _ in (*cases(), *pairs())}
     singles = {"A": runs["A"], **{name: runs[f"Ni-{name}"] for name in figures.COLOURS}}
     rows = [row for name, result in singles.items() for row in figures.axis_rows(name, result)]
-    write_table(TABLES / f"{figures.AXIS}.csv", rows, "remake: make validate\nat: ns over time, um over depth; SI else")
+    write_table(figures.AXIS, rows, "remake: make validate\nat: ns over time, um over depth; SI else")
     figures.draw_cases({words: runs[words[0]] for words in ("A: Ni", "B: Ti", "C: Ni, Ti", "D: Ni, Ni, Ni")})
     figures.draw_pairs({name: runs[f"Ni-Ni-{name}"] for name in figures.COLOURS})
 

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pages import EVIDENCE, column, number, table_rows
+from pages import EVIDENCE
 from PIL import Image
-from study_table import Row
+from study_table import Row, column, number, table_rows
 
 from coupler import Result
 from coupler.report.fields import FIELDS

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pages import column, markdown, number, table_rows, write_parts
-from study_table import Row
+from pages import markdown, write_parts
+from study_table import Row, column, number, table_rows
 
 from coupler.report.fields import FIELDS
 

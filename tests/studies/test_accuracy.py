@@ -8,9 +8,8 @@ from types import SimpleNamespace
 
 import errors as battery  # workflows/errors.py
 import pytest
-from pages import table_rows
 from scenes import SMALL, scene_with, several
-from study_table import read_rows
+from study_table import read_rows, table_rows
 
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli

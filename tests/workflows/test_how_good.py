@@ -3,6 +3,7 @@
 import how_good
 import numpy as np
 import pytest
+from pages import EVIDENCE
 
 
 @pytest.mark.parametrize(
@@ -24,7 +25,7 @@ def test_values_are_apart_beyond_their_known_errors(
 
 def test_page_is_that_of_the_tables() -> None:
     """The page says what the tables of the studies say: `python workflows/how_good.py` was run after the last of them."""
-    page = (how_good.EVIDENCE / "how_good.md").read_text(encoding="utf-8")
+    page = (EVIDENCE / "how_good.md").read_text(encoding="utf-8")
     assert "\n".join(how_good.table(how_good.pairs())) in page
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import splat_battery
-from pages import table_rows
 from splat_clouds import D
+from study_table import table_rows
 
 from coupler.particle import packing
 from coupler.splat.cloud import Cloud

@@ -1,9 +1,12 @@
 """The comparison with the paper (workflows/validate.py): its arithmetic and its scenes."""
 
+import re
+
 import numpy as np
 import pytest
 import validate
 import validation_page
+from pages import scene_file
 
 from coupler.errors import SceneError
 
@@ -38,8 +41,9 @@ def test_the_largest_diameter_is_that_of_the_outline() -> None:
 def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds() -> None:
     parts = (validate.cases, validate.pairs, validate.spread, validate.trends, validate.shapes, validate.scatter)
     wanted = [case for part in parts for case in part()]
-    assert len({case.name for case in wanted}) == len(wanted)
-    for case in wanted:
-        assert case.scene.particles[0].temperature == case.start
+    assert len({name for name, _ in wanted}) == len(wanted)
+    for name, scene in wanted:  # names of trends and pairs tell the temperature of the particles, others are at 300 K
+        told = re.search(r"-(\d+)K$", name)
+        assert {p.temperature for p in scene.particles} == {float(told[1]) if told else 300.0}
     with pytest.raises(SceneError, match="colour"):
-        validate.scene_of("single_ni", particle={"colour": "red"})
+        scene_file("single_ni", particle={"colour": "red"})
