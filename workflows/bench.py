@@ -7,7 +7,7 @@ reference loop in the same run. Rows of other versions stay in the table.
 
 import time
 import timeit
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count, takewhile
 
 import numpy as np
@@ -31,9 +31,8 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 
 STEPS, REPEATS = 40, 7
-
-#: Time that this process has run: other work on the machine does not count.
-clock = time.process_time
+Part = tuple[str, float, str]  # name, value and unit of a row
+clock = time.process_time  # other work on the machine does not count
 
 
 def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[], float] = clock) -> float:
@@ -60,24 +59,23 @@ def step(target: Target, dt: float) -> None:
     target.finish()
 
 
-def elements(rows: list[tuple[str, float, str]]) -> None:
+def elements() -> Iterator[Part]:
     """Microseconds per element and step."""
-    for plastic in (False, True):
-        target = block(plastic)
-        dt = 0.3 * target.stable_dt()
-        seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS) / STEPS
-        name = f"tet4 {'plastic' if plastic else 'elastic'}"
-        rows.append((name, seconds / len(target.mesh.conn) * 1e6, "us per element and step"))
+    for name in ("elastic", "plastic"):
+        target = block(name == "plastic")
 
-        def wall(target: Target = target, dt: float = dt) -> float:
-            return fastest(lambda: [step(target, dt) for _ in range(STEPS)], 2 * REPEATS, time.perf_counter)
+        def steps(target: Target = target, dt: float = 0.3 * target.stable_dt()) -> None:
+            for _ in range(STEPS):
+                step(target, dt)
 
-        one = wall()
+        seconds = fastest(steps, 4 * REPEATS) / STEPS
+        yield f"tet4 {name}", seconds / len(target.mesh.conn) * 1e6, "us per element and step"
+        one = fastest(steps, 2 * REPEATS, time.perf_counter)
         with threads_of(2):
-            rows.append((f"{name}, one thread over two", one / wall(), "of wall time"))
-        if plastic:
-            rows.append(("share of elements that flow", float(np.mean(target.elements.rate > 0)), ""))
-    rows.append(("scikit-fem forms for the same forces", forms(block(False)), "us per element and step"))
+            two = fastest(steps, 2 * REPEATS, time.perf_counter)
+        yield f"tet4 {name}, one thread over two", one / two, "of wall time"
+    yield "share of elements that flow", float(np.mean(target.elements.rate > 0)), ""
+    yield "scikit-fem forms for the same forces", forms(block(False)), "us per element and step"
 
 
 def forms(target: Target) -> float:
@@ -93,7 +91,7 @@ def forms(target: Target) -> float:
     return fastest(lambda: asm(form, basis, P=P), REPEATS) / len(m.conn) * 1e6
 
 
-def engines(rows: list[tuple[str, float, str]], count: int) -> None:
+def engines(count: int) -> Iterator[Part]:
     """Microseconds per point and step of a whole LAMMPS step with the law, for all engines in turn: a sphere that flows all over.
 
     What slows down one slows down the others. The passes of the default engine also on two threads, in wall time.
@@ -113,7 +111,7 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     default = particles["enriched"]
     n, unit = len(cloud), "us per point and step"
     for name, seconds in times.items():
-        rows.append((f"whole step, {n} points, {name}", seconds / steps / n * 1e6, unit))
+        yield f"whole step, {n} points, {name}", seconds / steps / n * 1e6, unit
 
     def passes() -> None:
         for _ in range(steps):
@@ -122,8 +120,8 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     one = fastest(passes, REPEATS, time.perf_counter)
     with threads_of(2):
         two = fastest(passes, REPEATS, time.perf_counter)
-    rows.append((f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit))
-    rows.append((f"one thread over two, {n} points", one / two, "of wall time"))
+    yield f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit
+    yield f"one thread over two, {n} points", one / two, "of wall time"
     for p in particles.values():
         p.close()
 
@@ -145,7 +143,7 @@ def per_step(impact: Impact, now: Callable[[], float] = clock) -> float:
     return (now() - start) / (impact.particle.steps - before)
 
 
-def whole(rows: list[tuple[str, float, str]], points: int) -> None:
+def whole(points: int) -> Iterator[Part]:
     """Microseconds per point and step of a real impact, and per element and step of its target."""
     impact = begun(points)
     p, spent = impact.particle, Spent()
@@ -162,13 +160,13 @@ def whole(rows: list[tuple[str, float, str]], points: int) -> None:
 
     parts()
     target, others = np.median([parts() for _ in range(2 * REPEATS)], axis=0)
-    rows.append(("points of the impact", float(p.n), ""))
-    rows.append(("all but the target, in the impact", others / p.n * 1e6, "us per point and step"))
-    rows.append(("target, in the impact", target / len(impact.target.mesh.conn) * 1e6, "us per element and step"))
+    yield "points of the impact", float(p.n), ""
+    yield "all but the target, in the impact", others / p.n * 1e6, "us per point and step"
+    yield "target, in the impact", target / len(impact.target.mesh.conn) * 1e6, "us per element and step"
     p.close()
 
 
-def threaded(rows: list[tuple[str, float, str]], points: int, most: int) -> None:
+def threaded(points: int, most: int) -> Iterator[Part]:
     """Wall time of a step of a real impact on one thread over that on 2, 4 ... threads, in turn: other work slows down all alike."""
     counts = list(takewhile(lambda n: n <= most, (2**k for k in count())))
     with threads_of(counts[-1]):
@@ -178,21 +176,18 @@ def threaded(rows: list[tuple[str, float, str]], points: int, most: int) -> None
         for n in counts:
             with threads_of(n):
                 times[n].append(per_step(impact, time.perf_counter))
-    one, *more = (float(np.median(times[n])) for n in counts)
-    name = f"impact, {impact.particle.n} points, one thread over"
-    rows.extend((f"{name} {n}", one / seconds, "of wall time") for n, seconds in zip(counts[1:], more, strict=True))
+    for n in counts[1:]:
+        gain = float(np.median(times[1])) / float(np.median(times[n]))
+        yield f"impact, {impact.particle.n} points, one thread over {n}", gain, "of wall time"
     impact.particle.close()
 
 
-def main() -> None:
-    """Measure, print, record."""
+if __name__ == "__main__":
     a = options(__doc__, most=cores())
-    rows: list[tuple[str, float, str]] = []
-    elements(rows)
+    rows = list(elements())
     for points in (1000, 5000, 16000):
-        engines(rows, points)
-        threaded(rows, points, a.most)
-    whole(rows, 5000)
+        rows += [*engines(points), *threaded(points, a.most)]
+    rows += whole(5000)
     loop = reference(clock) * 1e6
     table = study("bench", ("part", "version"), remake="make bench")
     for name, value, unit in rows:
@@ -200,7 +195,3 @@ def main() -> None:
         print(f"{name:45s} {value:10.4g} {unit}")
         table.add({"part": name, "value": f"{value:.4g}", "unit": unit, "over_loop": over})
     print(machine())
-
-
-if __name__ == "__main__":
-    main()

@@ -29,14 +29,6 @@ for path in (warm, scene):
 """  # the first loads compiled kernels, which takes as long as a hundred steps
 
 
-def main() -> None:
-    """Measure, print, record."""
-    a = options(__doc__, repeats=3)
-    scenes = {"single_ni": scene_file("single_ni"), "equal loads": Scene.from_dict(EQUAL)}
-    rows = [row for name, scene in scenes.items() for row in measured(name, scene, a.repeats)]
-    write_table("ranks", rows, f"remake: make bench; {machine()}")
-
-
 def measured(name: str, scene: Scene, repeats: int) -> list[dict[str, object]]:
     """A row of the table for each way to run the scene."""
     times: dict[str, list[float]] = {name: [] for name in WAYS}
@@ -67,4 +59,7 @@ def measured(name: str, scene: Scene, repeats: int) -> list[dict[str, object]]:
 
 
 if __name__ == "__main__":
-    main()
+    a = options(__doc__, repeats=3)
+    scenes = {"single_ni": scene_file("single_ni"), "equal loads": Scene.from_dict(EQUAL)}
+    rows = [row for name, scene in scenes.items() for row in measured(name, scene, a.repeats)]
+    write_table("ranks", rows, f"remake: make bench; {machine()}")

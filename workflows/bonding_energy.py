@@ -232,8 +232,7 @@ def draw_springs(rows: list[Row]) -> None:
         axis.legend(fontsize=8)
 
 
-def main() -> None:
-    """Run what is missing and tabulate."""
+if __name__ == "__main__":
     a = options(__doc__, "docs", runs="runs/bonding_energy")
     runs = Path(a.runs)
     keys = ((*case, f"{v}") for case, speeds in CASES.items() for v in speeds)
@@ -251,7 +250,3 @@ def main() -> None:
     draw(table.rows)
     write_rows(TABLES / "critical_velocity.csv", list(lines[0]), lines, ABOUT)
     write_parts("bonding", {"critical": critical_part(lines, table.rows)})
-
-
-if __name__ == "__main__":
-    main()

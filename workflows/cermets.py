@@ -132,13 +132,8 @@ def impact_lines(rows: Sequence[Row]) -> list[str]:
     return markdown(head, lines, rows)
 
 
-def main() -> None:
-    """Run what is missing, write the tables of the page."""
+if __name__ == "__main__":
     a = options(__doc__, "docs")
     impacts = study("ceramic_impacts", KEY, () if a.docs else IMPACTS, impact_row)
     coatings = study("cermets", ("scene", "powder"), () if a.docs else COATINGS, coating_row)
     write_parts("cermets", {"impacts": impact_lines(impacts.rows), "cermets": coating_lines(coatings.rows)})
-
-
-if __name__ == "__main__":
-    main()

@@ -53,12 +53,7 @@ def lines(rows: Sequence[Row]) -> list[str]:
     return [f"- **Size of the substrate.** {words} {versions(rows)}"]
 
 
-def main() -> None:
-    """Run what is missing, write the sentence of the page."""
+if __name__ == "__main__":
     keys = () if options(__doc__, "docs").docs else itertools.product(map(str, SEEDS), SIZES)
     table = study("coating_size_seeds", ("seed", "diameter_um"), keys, row_of)
     write_parts("coating", {"size": lines(table.rows)})
-
-
-if __name__ == "__main__":
-    main()

@@ -61,21 +61,20 @@ def row_of(*key: str) -> dict[str, object]:
     particle = scene.particles[0]
     with computed(scene, skip_failed=True) as (result, cpu):
         drift = max(abs(impact["energy_drift"]) for impact in result.summary["impacts"])
-        measures = values_of(coating.read(result))
-    return {"impact_m_s": particle.velocity, "impact_K": particle.temperature, **measures, "drift": drift, "cpu_s": cpu}
-
-
-def values_of(splats: Splats) -> dict[str, float]:
-    """The measures of a cold coating; its last layer is that of the last impacts."""
-    inner, all_ = buried(splats), coating.measure(splats)
-    layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
+        splats = coating.read(result)
+        all_ = coating.measure(splats)
+    inner = buried(splats)
+    layers = [
+        layer for layer in all_.layers if 0 < layer["layer"] < splats.layers
+    ]  # the last is that of the last impacts
     eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
+        "impact_m_s": particle.velocity, "impact_K": particle.temperature,
         "stress_MPa": coating.in_plane(inner, all_.window_radius_m, "stress")[0] * 1e-6,
         "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6, "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
         "density": 100.0 * (1.0 - all_.porosity_open - all_.porosity_closed), "overlap_share": 100.0 * all_.overlap_share,
         "strain": flattening_strains(inner, all_.window_radius_m).mean(), "eps_p": float(eps_p),
-        "thickness_um": all_.thickness_mean_m * 1e6,
+        "thickness_um": all_.thickness_mean_m * 1e6, "drift": drift, "cpu_s": cpu,
     }  # fmt: skip
 
 
@@ -234,8 +233,7 @@ def coating_part(rows: Sequence[Row]) -> list[str]:
     return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
 
 
-def main() -> None:
-    """Run what is missing, draw, write the tables of the page."""
+if __name__ == "__main__":
     docs = options(__doc__, "docs").docs
     tests = [(metal, test) for metal, said in COATED.items() for test in said["tests"]]
     coatings = [*((metal, "") for metal in COATED), *tests]
@@ -243,7 +241,3 @@ def main() -> None:
     others = study("coatings", ("metal", "test"), () if docs else coatings, coating_row, may_fail=True)
     draw(table.rows)
     write_parts("coating_stress", {"aluminium": lines(table.rows), "coatings": coating_part(others.rows)})
-
-
-if __name__ == "__main__":
-    main()

@@ -32,8 +32,7 @@ def cube(law: np.ndarray) -> BodyState:
     )  # fmt: skip
 
 
-def main() -> None:
-    """A step of the target of the first scene, and a pause in which a body is bonded to it."""
+if __name__ == "__main__":
     p = plan(Scene.load(SCENE))
     bodies = build_target(p)
     bodies.target.advance(STEP)
@@ -41,7 +40,3 @@ def main() -> None:
     bodies.stable_dt(1.0)
     lying = bodies.joined([cube(bodies.target.laws)], Adhesion("tied"), 0.5 * EDGE, (0.0, 0.0, 0.0), 1.0, 1)
     pause(p, PAUSE, lying, ENERGY)
-
-
-if __name__ == "__main__":
-    main()

@@ -142,14 +142,6 @@ def proof(name: str, rounds: int) -> dict[str, object]:
     return {"cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"], "left_out": left_out}
 
 
-def main() -> None:
-    """Fill the tables."""
-    a = options(__doc__, "proof", "docs", rounds=2)
-    proofs = ((name,) for name in PROOFS) if a.proof else ()
-    against = study("effects_proof", ("scene",), proofs, partial(proof, rounds=a.rounds), remake=f"{REMAKE} --proof")
-    write(influence(a.docs or a.proof), against.rows)
-
-
 def draw(largest: Mapping[str, list[float]]) -> None:
     """Bars of the largest changes of each effect, on a logarithmic axis."""
     with drawing("effects", 7.0, 4.2, "constrained") as figure:
@@ -181,11 +173,11 @@ def write(changes: list[Row], against: list[Row]) -> None:
     ratios = [number(row, "ratio") for row in against]
     median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
     draw(largest)
-    write_parts("effects", {
-        "table": markdown(head, lines, changes),
-        "proof": [median],
-    })  # fmt: skip
+    write_parts("effects", {"table": markdown(head, lines, changes), "proof": [median]})
 
 
 if __name__ == "__main__":
-    main()
+    a = options(__doc__, "proof", "docs", rounds=2)
+    proofs = ((name,) for name in PROOFS) if a.proof else ()
+    against = study("effects_proof", ("scene",), proofs, partial(proof, rounds=a.rounds), remake=f"{REMAKE} --proof")
+    write(influence(a.docs or a.proof), against.rows)

@@ -155,13 +155,9 @@ def forecast(rows: Sequence[Row]) -> dict[str, float]:
     return shares
 
 
-def main() -> None:
+if __name__ == "__main__":
     keys = ((name, preset) for preset in PRESETS for name in SCENES)
     rows = study("errors", ("scene", "preset"), () if options(__doc__, "docs").docs else keys, compute).rows
     print("FORECAST =", forecast(rows))
     draw(rows)
     write_parts("accuracy", {"time": time_part(rows), "errors": table_part(rows)})
-
-
-if __name__ == "__main__":
-    main()

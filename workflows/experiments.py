@@ -233,8 +233,7 @@ PARTS = {  # name: table, keys
 }  # fmt: skip
 
 
-def main() -> None:
-    """Run what is missing, write the page."""
+if __name__ == "__main__":
     a = options(__doc__, "docs", only=[*PARTS, "aluminium"])
     for part in () if a.docs else a.only:
         if part == "aluminium":
@@ -246,7 +245,3 @@ def main() -> None:
     draw(rebound)
     parts = {"restitution": restitution_part(rebound), "splats": splat_part(splat)}
     write_parts("experiments", {**parts, "aluminium": suspects_part(table_rows("aluminium"))})
-
-
-if __name__ == "__main__":
-    main()

@@ -7,8 +7,8 @@ docs/tables/flights.csv and its part of the page on the gas.
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import groupby
-from typing import Any
 
 from pages import markdown, write_parts
 from study_table import WORKFLOWS, measurements, write_table
@@ -35,15 +35,6 @@ def nozzles() -> dict[str, Nozzle]:
     return found
 
 
-def arrived(run: Mapping[str, Any], row: Sequence[Any], nozzle: Nozzle) -> Spray:
-    """The powder of a row at the target."""
-    gas, bar, T_gas, T_powder = row[:4]
-    flow = Flow(GASES[gas], nozzle, bar * 1e5, T_gas + ZERO, run["standoff_mm"] * 1e-3, ATMOSPHERE)
-    metal = material(run["metal"])
-    sizes = Sizes.of_diameters(*(size * 1e-6 for size in run["sizes_um"]))
-    return spray(metal, None, sizes, lambda D: fly_together(flow, metal, D, T_powder + ZERO))
-
-
 def efficiency(powder: Spray) -> str:
     """Share of the mass that stays, percent, with its range over the band of the critical velocity."""
     share = [100.0 * powder.fates(factor)[STICKS] for factor in (1.0, *powder.extremes(BAND))]
@@ -59,9 +50,11 @@ def rows() -> list[dict[str, object]]:
     """The rows of the table."""
     found, known = [], nozzles()
     for run in MEASURED["run"]:
-        for row in run["rows"]:
-            gas, bar, T_gas, T_powder, v, scatter, T, stays = row
-            powder = arrived(run, row, known[run["nozzle"]])
+        metal, sizes = material(run["metal"]), Sizes.of_diameters(*(size * 1e-6 for size in run["sizes_um"]))
+        for gas, bar, T_gas, T_powder, v, scatter, T, stays in run["rows"]:
+            nozzle, standoff = known[run["nozzle"]], run["standoff_mm"] * 1e-3
+            flow = Flow(GASES[gas], nozzle, bar * 1e5, T_gas + ZERO, standoff, ATMOSPHERE)
+            powder = spray(metal, None, sizes, partial(fly_together, flow, metal, T_feed=T_powder + ZERO))
             middle = len(powder.velocity) // 2
             velocity, temperature = powder.velocity[middle], powder.temperature[middle] - ZERO
             over = [u / critical(run["metal"], run["sizes_um"][1], t) for u, t in ((v, T), (velocity, temperature))]
@@ -109,14 +102,9 @@ def part(table: Sequence[Mapping[str, object]]) -> list[str]:
     return [*markdown(head, lines), "", f"Computed with version {__version__}.", "", *told]
 
 
-def main() -> None:
-    """Compute, print, write."""
+if __name__ == "__main__":
     table = rows()
     for r in table:
         print(*r.values(), sep=", ")
     write_table("flights", table)
     write_parts("gas", {"flights": part(table)})
-
-
-if __name__ == "__main__":
-    main()

@@ -54,14 +54,9 @@ def draw() -> None:
         figure.legend(loc="upper left", bbox_to_anchor=(0.11, 0.97))
 
 
-def main() -> None:
-    """Run, record, draw."""
+if __name__ == "__main__":
     a = options(__doc__, "docs", impacts=10, seed=2)
     if not a.docs:
         with computed(scene(a.impacts, a.seed)) as (result, _):
             write_table("growth", rows_of(result))
     draw()
-
-
-if __name__ == "__main__":
-    main()

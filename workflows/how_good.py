@@ -146,14 +146,9 @@ def draw(pairs: list[Pair]) -> None:
             axes.set(title=kind, xlabel="measured", ylabel="computed")
 
 
-def main() -> None:
-    """Read, print, draw, write."""
+if __name__ == "__main__":
     found = pairs()
     lines = table(found)
     print(lines[0])
     draw(found)
     write_parts("how_good", {"table": lines})
-
-
-if __name__ == "__main__":
-    main()

@@ -138,14 +138,9 @@ def draw(rows: list[Row]) -> None:
         figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
 
 
-def main() -> None:
-    """Compute the rows that the table lacks, the cheap ones first, and write the page."""
+if __name__ == "__main__":
     whats = (*PRESETS, *(f"elements {size:g} um" for size in SIZES))
     keys = [*((case, what) for what in whats for case in CASES), FINEST]
     table = study("jets", ("case", "preset"), () if options(__doc__, "docs").docs else keys, row_of)
     page(table.rows)
     draw(table.rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,8 +13,7 @@ SHOWN = {
 }  # fmt: skip
 
 
-def main() -> None:
-    """Write the part of the page."""
+if __name__ == "__main__":
     rows = [row for row in table_rows("map_ni") if row["status"] == "done"]
     at = {tuple(number(row, axis) for axis in AXES): row for row in rows}
     speeds, sizes = (sorted({place[k] for place in at}) for k in (0, 1))
@@ -36,7 +35,3 @@ def main() -> None:
     told = f"Error of the interpolation, one point left out (root mean square): {'; '.join(texts)}."
     head = ["velocity, m/s", *(text for text, _ in SHOWN.values())]
     write_parts("maps", {"map": [*markdown(head, lines), "", told, "", versions(rows)]})
-
-
-if __name__ == "__main__":
-    main()

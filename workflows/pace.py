@@ -113,15 +113,9 @@ def fit() -> None:
     print(f"steps: half within {np.median(off):.0%}, {np.mean(off < math.log(1.3)):.0%} within 30 %")
 
 
-def main() -> None:
-    """Draw the sample, or fit."""
+if __name__ == "__main__":
     if options(__doc__, "fit").fit:
         fit()
-        return
-    sample = list(drawn())
-    keys = ((*each, preset) for preset, each in itertools.product(SAMPLED, sample))
-    study("pace_sample", (*DRAWN, "preset"), keys, row_of)
-
-
-if __name__ == "__main__":
-    main()
+    else:
+        keys = ((*each, preset) for preset, each in itertools.product(SAMPLED, list(drawn())))
+        study("pace_sample", (*DRAWN, "preset"), keys, row_of)

@@ -53,13 +53,8 @@ def draw(rows: Sequence[Row]) -> None:
         axes.set(xlabel="velocity (m/s)", ylabel="adhesion (MPa)", ylim=(0.0, None))
 
 
-def main() -> None:
-    """Run what is missing, draw, write the table of the page."""
+if __name__ == "__main__":
     table = study("pull_cu", KEY, () if options(__doc__, "docs").docs else IMPACTS, row_of)
     rows = sorted(table.rows, key=lambda r: [float(r[name]) for name in KEY])
     draw(rows)
     write_parts("properties", {"copper": lines(rows)})
-
-
-if __name__ == "__main__":
-    main()

@@ -118,8 +118,7 @@ def measure(spent: Spent, points: int) -> tuple[float, dict[str, float]]:
     return found
 
 
-def main() -> None:
-    """Measure, print, record."""
+if __name__ == "__main__":
     a = options(__doc__, points=list(POINTS))
     spent = Spent()
     spent.watch()
@@ -132,7 +131,3 @@ def main() -> None:
             print(f"    {share:6.2%}  {piece}")
             rows.append({"points": points, "step_ms": f"{step:.4g}", "piece": piece, "share": f"{share:.4f}"})
     write_table("serial_share", rows, f"remake: {REMAKE}; {machine()}")
-
-
-if __name__ == "__main__":
-    main()

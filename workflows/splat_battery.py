@@ -39,13 +39,6 @@ SHOWN = {  # label -> column, factor, form, the worst of all
 SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
 
 
-def warm_up() -> None:
-    """Load open3d and the kernels, so that the first row has the seconds of its conversion alone."""
-    x, volume = packing.sphere(splat_clouds.D, 200)
-    spacing = volume ** (1.0 / 3.0)
-    convert(Cloud(x, np.full(len(x), volume), spacing, 1.0, J=np.ones(len(x))), SIZE_OVER_SPACING * spacing)
-
-
 def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     """Convert one cloud; its line of the table."""
     row: dict[str, Any] = {"kind": kind, "points": len(cloud.x)}
@@ -78,8 +71,10 @@ def compute(only: str, docs: bool) -> list[Row]:
         return row_of(kind, make(), float(ratio))
 
     keys = ((name, f"{ratio:g}") for name in clouds for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())))
-    if not docs:
-        warm_up()
+    if not docs:  # load open3d and the kernels, so that the first row has the seconds of its conversion alone
+        x, volume = packing.sphere(splat_clouds.D, 200)
+        spacing = volume ** (1.0 / 3.0)
+        convert(Cloud(x, np.full(len(x), volume), spacing, 1.0, J=np.ones(len(x))), SIZE_OVER_SPACING * spacing)
     remake = f"OMP_NUM_THREADS=1 {REMAKE}"
     return study("splats", ("cloud", "size_over_spacing"), () if docs else keys, convert_one, remake=remake).rows
 
@@ -131,13 +126,8 @@ def draw() -> None:
         figure.colorbar(drawn, ax=axes[:, -1], label="plastic strain", shrink=0.8)
 
 
-def main() -> None:
-    """Make what is missing of the clouds and of the table; write figure and page."""
+if __name__ == "__main__":
     a = options(__doc__, "docs", only="")
     rows = compute(a.only, a.docs)
     draw()
     write_parts("splats", {"battery": part(rows)})
-
-
-if __name__ == "__main__":
-    main()

@@ -23,17 +23,18 @@ Made = dict[str, Any]  # arrays and numbers of a cloud, by the names of `Cloud`
 
 
 def particle(metal: str, velocity: float, **more: object) -> str:
-    """The table of one particle of a scene: 25 um, Ti 30 um; velocity m/s; more: further keys."""
+    """The table of one particle of a scene, as JSON: 25 um, Ti 30 um; velocity m/s; more: further keys."""
     diameter = "30 um" if metal == "Ti" else "25 um"
-    keys = {"material": metal, "diameter": diameter, "velocity": f"{velocity:g} m/s", **more}
-    return "\n".join(["[[particle]]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items()), ""])
+    return json.dumps({"material": metal, "diameter": diameter, "velocity": f"{velocity:g} m/s", **more})
 
 
 @cache
 def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[Cloud, Cloud]]:
     """The clouds of a run's impacts, in their order: of greatest deformation and of the end. spacing: um."""
-    kind = "tied" if len(particles) > 1 else "none"
-    rest = f'[resolution]\nspacing = "{spacing!r} um"\n[adhesion]\nkind = "{kind}"\n[substrate]\nmaterial = "{base}"\n'
+    scene = {
+        "particle": [json.loads(table) for table in particles], "resolution": {"spacing": f"{spacing!r} um"}, "end": {"at": "rest"},
+        "adhesion": {"kind": "tied" if len(particles) > 1 else "none"}, "substrate": {"material": base},
+    }  # fmt: skip
     seen: dict[int, list[Cloud]] = {}
 
     def watch(now: Impact) -> None:
@@ -41,7 +42,7 @@ def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[
             cloud = cloud_of(now.domains)
             seen.setdefault(now.bodies.count, [cloud, cloud])[1] = cloud
 
-    with computed(Scene.from_text("".join(particles) + rest + '[end]\nat = "rest"\n', "battery"), probe=watch):
+    with computed(Scene.from_dict(scene, "battery"), probe=watch):
         return [(greatest, end) for greatest, end in seen.values()]
 
 

@@ -178,8 +178,7 @@ def draw(rows: list[Row]) -> None:
         axes.legend(loc="upper left")
 
 
-def main() -> None:
-    """Compute the scenes that the table lacks, and those that fail."""
+if __name__ == "__main__":
     a = options(__doc__, "docs", only="")
     scenes = battery()
     table = study("stability", ("scene",), remake="make stability")
@@ -198,7 +197,3 @@ def main() -> None:
     draw(rows)
     write_parts("stability", {"table": page_part(rows)})
     print(Counter(row["verdict"] for row in rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -157,14 +157,9 @@ def draw() -> None:
         axes.legend(fontsize=8)
 
 
-def main() -> None:
-    """Compute what is asked for, and draw."""
+if __name__ == "__main__":
     if not options(__doc__, "docs").docs:
         bars = ((case, f"{size:g}") for case, sizes in LADDER.items() for size in sizes)
         study("taylor_bar", ("case", "size"), bars, bar)
         study("taylor_bar_sph", ("asked",), ((f"{n}",) for n in POINTS), taylor_bar)
     draw()
-
-
-if __name__ == "__main__":
-    main()

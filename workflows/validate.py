@@ -193,8 +193,7 @@ def draw_runs() -> None:
     figures.draw_pairs({name: runs[f"Ni-Ni-{name}"] for name in figures.COLOURS})
 
 
-def main() -> None:
-    """Fill the tables, draw the figures, write the page."""
+if __name__ == "__main__":
     parts = {"cases": cases, "pairs": pairs, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
     a = options(__doc__, "docs", only=[*parts, "figures"])
     for part in () if a.docs else a.only:
@@ -204,7 +203,3 @@ def main() -> None:
             fill(TABLE_OF.get(part, "validation"), parts[part](), keep=part in ("cases", "pairs"))
     figures.draw_trends()
     page.write_page()
-
-
-if __name__ == "__main__":
-    main()

@@ -17,7 +17,7 @@ PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())
 
 @dataclass(frozen=True)
 class Splat:
-    """A particle of cases A to D: its name, our row, and the paper's numbers of it by METHODS, nan where there is none."""
+    """A particle of cases A to D: its name, our row, and numbers of it, "ours" and the paper's by METHODS, nan where there is none."""
 
     name: str
     row: Row
@@ -30,11 +30,6 @@ def ratio_of(row: Row) -> float:
     return number(row, "widest_um_end") / number(row, "thickness_um_end")
 
 
-def digits(value: float, count: int = 2) -> str:
-    """A number for a table, a dash for none."""
-    return f"{value:.{count}f}" if np.isfinite(value) else "-"
-
-
 def seven(rows: Sequence[Row]) -> list[Splat]:
     """The seven particles of cases A to D, so far as they are computed."""
     splats = []
@@ -44,16 +39,17 @@ def seven(rows: Sequence[Row]) -> list[Splat]:
             if own and not own[0]["failed"]:
                 place = k + 1 if len(case["impacts"]) > 1 else ""
                 name = f"{letter}{place}: {particle['material']}, {particle['diameter_um']:.0f} µm"
+                ours = number(own[0], "flattening_end"), ratio_of(own[0])
                 tables = case["flattening"], case["diameter_over_thickness"]
-                values = [{who: table[who][k] if who in table else np.nan for who in METHODS} for table in tables]
-                splats.append(Splat(name, own[0], *values))
+                theirs = [{who: table[who][k] if who in table else np.nan for who in METHODS} for table in tables]
+                splats.append(Splat(name, own[0], {"ours": ours[0], **theirs[0]}, {"ours": ours[1], **theirs[1]}))
     return splats
 
 
 def errors(splats: Sequence[Splat]) -> dict[str, list[str]]:
     """Mean errors, of flattening and of ln(diameter/thickness), against the experiment: ours, hybrid, ALE."""
-    flat = np.array([[number(s.row, "flattening_end"), *s.flattening.values()] for s in splats])
-    ratios = np.log([[ratio_of(s.row), *s.ratio.values()] for s in splats])
+    flat = np.array([[*s.flattening.values()] for s in splats])
+    ratios = np.log([[*s.ratio.values()] for s in splats])
     before = [not s.name.startswith("D3") for s in splats]
 
     flat, ratios = (np.abs(values[:, :3] - values[:, 3:]) for values in (flat, ratios))
@@ -84,8 +80,7 @@ def table(rows: list[Row]) -> list[str]:
     """Table 2 of the paper: cases A to D, mean errors."""
     splats, why, lines = seven(rows), reasons(rows), []
     for s in splats:
-        flat = {w: number(s.row, "flattening_end") if w == "ours" else s.flattening[w] for w in ("ours", *METHODS)}
-        cells = [f"{f:.2f}/{digits({'ours': ratio_of(s.row), **s.ratio}[w], 1)}" for w, f in flat.items()]
+        cells = [f"{f:.2f}/{f'{s.ratio[who]:.1f}'.replace('nan', '-')}" for who, f in s.flattening.items()]
         lines.append([s.name, *cells, why[s.name.partition(":")[0]]])
     lines += [[name, *values, "", ""] for name, values in errors(splats).items()]
     return markdown("| here | hybrid | ALE | experiment | why", lines, rows + table_rows("validation_scatter"))
