@@ -83,8 +83,7 @@ def row_of(*key: str, runs: Path) -> dict[str, object]:
 
 
 def placed_row(metal: str, size: str, preset: str, velocity: str, placement: str, runs: Path) -> dict[str, object]:
-    """A run of several placements: margin and energy that bonds have dissipated, over the section of the particle; no margin of a run
-    without a verdict."""
+    """A run of several placements: margin, if it has a verdict, and energy that bonds have dissipated, over the particle's section."""
     scene, v, k = scene_of(metal, size, preset=preset), float(velocity), int(placement)
     folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
     row = rows_at(scene, v, folder, PLACEMENTS)[k]

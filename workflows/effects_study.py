@@ -71,16 +71,14 @@ PROOFS["two Ni 25 um, 20 us between"] = sequence("20 us", points=0)
 
 
 def compute(effects: str | list[str], said: Tables) -> dict[str, float]:
-    """Run a scene: its measures at its end, temperatures as their rise, and `cpu_s`, the processor time of all of it. A measure outside
-    its range is nan."""
+    """Run a scene: its measures at its end, nan outside their range, temperatures as their rise, and `cpu_s`, the processor time."""
     checked = Scene.from_dict({"effects": effects, **said}, "effects_study")
     with computed(checked) as (result, cpu):
         last, T_0 = result.impacts[-1], checked.particles[-1].temperature
     end = {**last, **last["end"]}
     end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
-    values = {
-        key: float(end[key]) - measure(key).initial(T_0) if end.get(key) is not None else math.nan for key in CONVERGING
-    }
+    known = [key for key in CONVERGING if end.get(key) is not None]
+    values = dict.fromkeys(CONVERGING, math.nan) | {k: float(end[k]) - measure(k).initial(T_0) for k in known}
     return values | {"cpu_s": cpu}
 
 

@@ -104,9 +104,8 @@ class ElementImpact:
             force = float(t.f_ext[self.nodes, 2].sum())
             t.finish()
         self.steps += CHUNK
-        self.plastic_work += float(
-            self.volume @ (0.5 * (sigma_y + t.elements.sigma_y[own]) * (t.elements.eps_p[own] - eps_p))
-        )
+        mean, more = 0.5 * (sigma_y + t.elements.sigma_y[own]), t.elements.eps_p[own] - eps_p
+        self.plastic_work += float(self.volume @ (mean * more))
         return force
 
     def measures(self) -> dict[str, float]:

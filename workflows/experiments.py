@@ -142,9 +142,8 @@ def band_of(rows: Sequence[Row], metal: str) -> float:
     points = [abs(standard[v] - coarse[v]) for v in standard if v in coarse and in_window(v)]
     stiffness = []
     for v in PROBED[metal]:
-        pair = [
-            chosen(rows, metal=metal, set=first, contact_stiffness=f"{f:g}", velocity_m_s=f"{v:g}") for f in STIFFNESS
-        ]
+        at_v = {"metal": metal, "set": first, "velocity_m_s": f"{v:g}"}
+        pair = [chosen(rows, **at_v, contact_stiffness=f"{factor:g}") for factor in STIFFNESS]
         if all(pair):
             stiffness.append(0.5 * abs(number(pair[1][0], "restitution") - number(pair[0][0], "restitution")))
     return math.hypot(max(points, default=0.0), max(stiffness, default=0.0)) or math.nan
@@ -188,13 +187,11 @@ def suspects_part(rows: Sequence[Row]) -> list[str]:
     found = {(row["suspect"], row["velocity_m_s"]): row for row in rows}
     speeds, bonded = [f"{v:g}" for v, _ in ALUMINIUM["e"]], [f"{v:g}" for v in ALUMINIUM["bonded_m_s"]]
     lines = [["measured", *(f"{e:.3f}" for _, e in ALUMINIUM["e"])]]
-    lines += [
-        [name, *(f"{number(found[name, v], 'restitution'):.3f}" for v in speeds)] for name in ALUMINIUM["suspects"]
-    ]
-    margins = [
-        [name, *(f"{number(found[f'{name}, bonds', v], 'margin_J') * 1e9:+.1f}" for v in bonded)]
-        for name in ALUMINIUM["bonds"]
-    ]
+    for name in ALUMINIUM["suspects"]:
+        lines.append([name, *(f"{number(found[name, v], 'restitution'):.3f}" for v in speeds)])
+    margins = []
+    for name in ALUMINIUM["bonds"]:
+        margins.append([name, *(f"{number(found[f'{name}, bonds', v], 'margin_J') * 1e9:+.1f}" for v in bonded)])
     head = ["restitution", *(f"{v} m/s" for v in speeds)]
     second = ["margin to stick, nJ", *(f"{v} m/s" for v in bonded)]
     return [*markdown(head, lines), "", *markdown(second, margins, rows)]

@@ -78,10 +78,9 @@ def span(rows: Sequence[Mapping[str, object]], name: str) -> str:
 def part(table: Sequence[Mapping[str, object]]) -> list[str]:
     """The table of the page; sprays of one powder whose efficiency is not measured share a line."""
     lines = []
-    for _, group in groupby(
-        table, lambda r: (r["source"], r["metal"], r["published_percent"] and r["gas"], r["powder_C"])
-    ):
-        rows = list(group)
+    alike = [(r["source"], r["metal"], r["published_percent"] and r["gas"], r["powder_C"]) for r in table]
+    for _, group in groupby(zip(table, alike, strict=True), lambda pair: pair[1]):
+        rows = [row for row, _ in group]
         r, temperatures = rows[0], [{"T": row["gas"].split()[-2]} for row in rows]
         lines.append([
             f"{r['metal']} {r['median_um']} µm",

@@ -84,9 +84,8 @@ def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any
     said: dict[str, Any] = {name: kinds[name] for name in kinds if dice.random() < 0.07}
     if not said and dice.random() < 0.15:
         thick = diameter * log_between(dice, 0.1, 0.8)
-        layers = [
-            {"material": dice.choice(MATERIALS), "thickness": f"{max(thick, 1.75 * spacing):.4g} um"} for _ in range(2)
-        ]
+        thickness = f"{max(thick, 1.75 * spacing):.4g} um"
+        layers = [{"material": dice.choice(MATERIALS), "thickness": thickness} for _ in range(2)]
         said = {"layer": layers[: dice.choice((1, 2))]}
     return said
 
@@ -122,9 +121,8 @@ def write_files(dice: random.Random, folder: Path) -> None:
     corner = np.arange(SAMPLES**2).reshape(SAMPLES, SAMPLES)
     a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
     triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    meshio.Mesh(np.column_stack([x.ravel(), y.ravel(), z.ravel()]), [("triangle", triangles)]).write(
-        folder / "patch.stl"
-    )
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    meshio.Mesh(points, [("triangle", triangles)]).write(folder / "patch.stl")
     points, faces = packing.surface(1.0, 0.1)
     bodies = [(points * [dice.uniform(0.8, 1.3) for _ in "xyz"], faces)]
     for x0 in dice.choice(((), (0.0,), (-0.22, 0.22))):
@@ -147,10 +145,8 @@ def bond(dice: random.Random) -> dict[str, Any]:
 
 def flight_time(table: dict[str, Any], spacing: float) -> float:
     """Time in ns from the start of a particle to its contact. spacing: um; half of it is the gap unless said."""
-    gap, velocity, angle = (
-        float(table.get(name, default).split()[0])
-        for name, default in (("gap", f"{spacing / 2} um"), ("velocity", ""), ("angle", "0 deg"))
-    )
+    said = table.get("gap", f"{spacing / 2} um"), table["velocity"], table.get("angle", "0 deg")
+    gap, velocity, angle = (float(text.split()[0]) for text in said)
     return 1e3 * gap / (velocity * math.cos(math.radians(angle)))
 
 
@@ -188,11 +184,8 @@ def spray(dice: random.Random) -> dict[str, Any]:
         said["length"] = f"{dice.uniform(0.8, 5) * 4 * spot:.4g} mm"
         said |= {"step": f"{dice.uniform(0.05, 0.6) * spot:.3g} mm"} if dice.random() < 0.7 else {}
         said |= {"first": f"{dice.uniform(-0.6, 0.3) * spot:.3g} mm"} if dice.random() < 0.3 else {}
-    return {
-        name: value
-        for name, value in said.items()
-        if name in ("passes", "length", "step", "first") or dice.random() < 0.6
-    }
+    kept = ("passes", "length", "step", "first")
+    return {name: value for name, value in said.items() if name in kept or dice.random() < 0.6}
 
 
 def coating(seed: int) -> dict[str, Any]:
@@ -210,9 +203,8 @@ def coating(seed: int) -> dict[str, Any]:
         table |= powder(dice, diameter, spacing)
     if kinds > 1:
         shares = [dice.uniform(0.8, 1.2) for _ in range(kinds)]
-        table["powder"] = [
-            powder(dice, diameter, spacing) | {"share": round(share / sum(shares), 4)} for share in shares
-        ]
+        parts = [{"share": round(share / sum(shares), 4)} for share in shares]
+        table["powder"] = [powder(dice, diameter, spacing) | part for part in parts]
     substrate: dict[str, Any] = {
         "material": dice.choice(MATERIALS), "diameter": f"{diameter * dice.uniform(4.5, 6) + 2 * radius:.4g} um",
         "height": f"{diameter * dice.uniform(2.7, 4):.4g} um",
@@ -256,9 +248,7 @@ def scene(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     if dice.random() < 0.3:
         substrate["temperature"] = f"{log_between(dice, 100, 1500):.4g} K"
-    substrate |= roughness(
-        random.Random(f"rough {seed}"), diameter, spacing
-    )  # of its own, so that a seed keeps all else
+    substrate |= roughness(random.Random(f"rough {seed}"), diameter, spacing)  # its own dice: a seed keeps all else
     hard = random.Random(f"hard {seed}")
     for table in (*particles, substrate):
         if hard.random() < 0.1:

@@ -209,9 +209,8 @@ def hdf5(dice: random.Random, path: Path) -> str:
         name = dice.choice(names)
         data, how = file[name], dice.choice(("value", "value", "all", "steps", "resized"))
         if how in ("value", "all"):
-            new = dice.choice(
-                (np.nan, np.inf, 1e308, -1e30, 0.0) if data.dtype.kind == "f" else (-1, 2**40, 2**62, 0, 255)
-            )
+            odd = (np.nan, np.inf, 1e308, -1e30, 0.0) if data.dtype.kind == "f" else (-1, 2**40, 2**62, 0, 255)
+            new = dice.choice(odd)
             with np.errstate(all="ignore"):
                 values = data[()]
                 values[... if how == "all" else dice.randrange(len(values))] = np.array(new).astype(data.dtype)

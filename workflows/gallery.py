@@ -39,11 +39,9 @@ def printed(kind: str, text: str, names: dict[str, Any]) -> str:
         with contextlib.redirect_stdout(io.StringIO()) as stream:
             exec(compile(text, "page", "exec"), names)
         return stream.getvalue()
-    lines = [shlex.split(line) for line in text.splitlines()]
-    commands = [[sys.executable, "-m", "coupler", *words[1:]] for words in lines]
-    return "".join(
-        subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout for command in commands
-    )
+    commands = [[sys.executable, "-m", "coupler", *shlex.split(line)[1:]] for line in text.splitlines()]
+    done = [subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True) for command in commands]
+    return "".join(each.stdout for each in done)
 
 
 def run_page(page: Path) -> None:

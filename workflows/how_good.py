@@ -120,10 +120,8 @@ def table(pairs: list[Pair]) -> list[str]:
     lines, last = [], ""
     for p in pairs:
         cells = with_error(p.measured, p.measured_error, p.digits), with_error(p.computed, p.computed_error, p.digits)
-        quantity = f"{p.kind}: {p.page}"
-        lines.append(
-            [quantity if quantity != last else "", p.what, *cells, f"{p.apart:+.{p.digits}f}" if p.apart else "no"]
-        )
+        quantity, apart = f"{p.kind}: {p.page}", f"{p.apart:+.{p.digits}f}" if p.apart else "no"
+        lines.append([quantity if quantity != last else "", p.what, *cells, apart])
         last = quantity
     counts = []
     for kind in dict.fromkeys(p.kind for p in pairs):

@@ -107,10 +107,8 @@ def at_rest(rows: list[Row], case: str, body: str) -> list[Row]:
 
 def page(rows: list[Row]) -> None:
     """Write the table of the page: of each impact the measures at the presets."""
-    measures, lines = (
-        {"stretch_median": 2, "stretch_99": 1, "height": 2, "thickness": 2, "diameter": 2, "jet_um": 1},
-        [],
-    )
+    measures = {"stretch_median": 2, "stretch_99": 1, "height": 2, "thickness": 2, "diameter": 2, "jet_um": 1}
+    lines = []
     for case, body in itertools.product(CASES, ("points", "elements")):
         own = at_rest(rows, case, body)
         cells = ["/".join(f"{number(row, name):.{digits}f}" for row in own) for name, digits in measures.items()]

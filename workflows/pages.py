@@ -79,8 +79,7 @@ def impact_tables(
 
 @contextmanager
 def computed(scene: Scene, folder: Path | None = None, **more: Any) -> Iterator[tuple[Result, float]]:
-    """Run a scene in one thread: its result and the processor time, s. folder: None for one that is removed behind; more: options of
-    `run`."""
+    """Run a scene in one thread: its result and the processor time, s. folder: None: one that is removed; more: options of `run`."""
     started = time.process_time()
     with tempfile.TemporaryDirectory() as place:
         result = run(scene, folder or Path(place) / "run", force=True, threads=1, quiet=True, **more)

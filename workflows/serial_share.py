@@ -53,8 +53,7 @@ class _Timed(Exception):
 
 
 class Spent:
-    """Seconds by piece, each without those of the pieces inside it, and without the cost of the timers. calls: of all timers; cost
-    (s): of one."""
+    """Seconds by piece, without those of pieces inside it and without the cost of timers. calls: of all timers; cost (s): of one."""
 
     def __init__(self) -> None:
         self.calls, self.cost, self._own = 0, 0.0, 0.0

@@ -139,10 +139,8 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> Made:
     """A body moved by a smooth map, with analytic fields; J is the map's."""
     x = motion(body.points)
     step = 1e-4 * D
-    gradient = np.stack(
-        [(motion(body.points + step * e) - motion(body.points - step * e)) / (2.0 * step) for e in np.eye(3)], -1
-    )
-    J = np.abs(np.linalg.det(gradient))
+    moved = [motion(body.points + step * e) - motion(body.points - step * e) for e in np.eye(3)]
+    J = np.abs(np.linalg.det(np.stack(moved, -1) / (2.0 * step)))
     cloud = filled(x, body.volume, body.spacing) | {"J": J}
     if carried:
         vertices, triangles = body.vertices, body.triangles
@@ -171,12 +169,8 @@ def ball(n: int) -> shapes.Body:
 
 def joined(*parts: Made) -> Made:
     """Several clouds as one, without surfaces."""
-    first = parts[0]
-    arrays = {k for k, v in first.items() if k not in ("surface", "J") and np.ndim(v)}
-    return {
-        k: np.concatenate([p[k] for p in parts]) if k in arrays else first[k]
-        for k in (*arrays, "spacing", "rho", "wave_speed")
-    }
+    whole = {k: v for k, v in parts[0].items() if k not in ("surface", "J")}
+    return {k: np.concatenate([p[k] for p in parts]) if np.ndim(v) else v for k, v in whole.items()}
 
 
 def pair(n: int, gap: float) -> Made:
@@ -279,8 +273,6 @@ def synthetic() -> dict[str, Callable[[], Made]]:
 
 def every() -> dict[str, tuple[str, Callable[[], Cloud]]]:
     """All clouds by name, each with its kind: "impact" or "synthetic", the 71 of the battery, or "splat" of a run."""
-    made: dict[str, Callable[[], Cloud]] = {
-        name: lambda make=make: Cloud(**make()) for name, make in synthetic().items()
-    }
-    kinds = {"impact": real(), "synthetic": made, "splat": splats()}
+    made = {name: lambda make=make: Cloud(**make()) for name, make in synthetic().items()}
+    kinds: dict[str, dict[str, Callable[[], Cloud]]] = {"impact": real(), "synthetic": made, "splat": splats()}
     return {name: (kind, make) for kind, clouds in kinds.items() for name, make in clouds.items()}

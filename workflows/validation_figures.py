@@ -26,8 +26,7 @@ TRENDS = {"eps_p_mean": "7a: mean plastic strain", "flattening_end": "7b: flatte
 
 
 def axis_rows(name: str, result: Result) -> list[dict[str, object]]:
-    """Values (SI) of a single impact: over time (ns) at the particle's lowest point and in the target's element under it; over depth
-    (um) along the axis at the end."""
+    """Values (SI) of an impact: over time (ns) at the particle's lowest point and the element under it; over depth (um)."""
     particle, target = result.fields(0, "particle"), result.fields(0, "target")
     places = particle.points, target.points[target.cells].mean(axis=1)
     first = [int(np.linalg.norm(place, axis=1).argmin()) for place in places]
@@ -46,8 +45,7 @@ def axis_rows(name: str, result: Result) -> list[dict[str, object]]:
 
 
 def draw_sections(axes: NDArray, runs: Mapping[str, Result], view: View, names: Sequence[str]) -> None:
-    """Draw the cuts of runs at their end, one run a column, one field a row. runs: by the words above them; axes (rows, runs + 1): the
-    last column is for the colours."""
+    """Draw the cuts of runs at their end, a run a column, a field a row. runs: by words above; axes (rows, runs + 1)."""
     cuts = [cut(result, -1, names, stage(result), view) for result in runs.values()]
     for row, name in zip(axes, names, strict=True):
         ends = colour_range(cuts, name)
@@ -71,9 +69,8 @@ def draw_pairs(runs: Mapping[str, Result]) -> None:
     """Figures 6, 8, 9 and 10 of the paper. runs: pairs of particles, by the keys of COLOURS."""
     figure, rows = blank(13.5, 7.8, 96, "constrained"), table_rows(AXIS)
     axes = figure.subplots(3, 6, width_ratios=[1.3, 1.3, 1.3, 0.05, 0.9, 0.9])
-    draw_sections(
-        axes[:, :4], {condition(run): result for run, result in runs.items()}, (-32.0, 32.0, -26.0, 20.0), SHOWN
-    )
+    named = {condition(run): result for run, result in runs.items()}
+    draw_sections(axes[:, :4], named, (-32.0, 32.0, -26.0, 20.0), SHOWN)
     plots, places = axes[:, 4:], {"time": "time (ns)", "depth": "depth on the axis (µm)"}
     for axis, (name, (over, words)) in zip(plots.flat, product(SHOWN, places.items()), strict=True):
         for (run, colour), (body, dash) in product(COLOURS.items(), {"splat": "-", "substrate": "--"}.items()):
@@ -83,9 +80,8 @@ def draw_pairs(runs: Mapping[str, Result]) -> None:
         label(axis, words, FIELDS[name].words)
     for axis, words in zip(axes[:, [0, 1, 2, 4, 5]].flat, NUMBERS.split(), strict=True):
         axis.set_title(words, loc="left", weight="bold", fontsize=10)
-    figure.legend(
-        *plots[0, 0].get_legend_handles_labels(), loc="outside lower right", ncols=3, fontsize=9, frameon=False
-    )
+    handles = plots[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower right", ncols=3, fontsize=9, frameon=False)
     write(figure, "validation_pairs")
 
 
@@ -106,9 +102,8 @@ def draw_trends() -> None:
             own = runs_of(rows, "diameter_um", speed_m_s=speed, temperature_K=temperature)
             upper.plot(column(own, "diameter_um"), column(own, name), "o-", color=colour, ms=4, label=condition(run))
         own = runs_of(rows, "speed_m_s", diameter_um=25, temperature_K=300)
-        lower.plot(
-            column(own, "speed_m_s"), column(own, name), "o-", color=COLOURS["500-300K"], ms=4, label="25 µm, 300 K"
-        )
+        x, style = column(own, "speed_m_s"), {"color": COLOURS["500-300K"], "label": "25 µm, 300 K"}
+        lower.plot(x, column(own, name), "o-", ms=4, **style)
         label(upper, "diameter (µm)", words)
         label(lower, "velocity of 25 µm, 300 K (m/s)", words)
     for axis in axes[:, :2].flat:

@@ -95,9 +95,8 @@ def contact(rows: Sequence[Row]) -> list[str]:
     """Tables 3 and 4 of the paper: contact of case A, then one, two and three nickel particles at the end of the last impact."""
     (first,), (soft,) = run_rows(rows, "A"), run_rows(rows, "no-rate")
     ends = [run_rows(rows, name)[-1] for name in ("A", "Ni-Ni-500-300K", "D")]
-    most = {
-        n: np.maximum(column(ends, n), column(ends, f"target_{n}")) for n in ("T_max", "von_mises_MPa", "eps_p_max")
-    }
+    names = "T_max", "von_mises_MPa", "eps_p_max"
+    most = {n: np.maximum(column(ends, n), column(ends, f"target_{n}")) for n in names}
     width = number(first, "diameter_um_end")
     lines = []
     for name, ours, theirs, form, why in (
@@ -119,9 +118,8 @@ def contact(rows: Sequence[Row]) -> list[str]:
     ):  # fmt: skip
         cost = PAPER["cost"]
         three = [ours, *({**cost, **cost[who], **PAPER["contact"][who]}[theirs] for who in METHODS[:2])]
-        lines.append(
-            [name, *("/".join(format(value, form) for value in np.atleast_1d(values)) for values in three), why]
-        )
+        cells = ("/".join(format(value, form) for value in np.atleast_1d(values)) for values in three)
+        lines.append([name, *cells, why])
     return markdown("| here | hybrid | ALE | why", lines)
 
 
@@ -163,9 +161,8 @@ def shapes(rows: Sequence[Row]) -> list[str]:
     """Figure 11 of the paper: the six shapes."""
     own = {name: [row for row in rows if row["run"] == f"shape-{name}"] for name in PAPER["morphology"]["eps_max"]}
     mean = {name: (column(three, "eps_p_mean").mean(), column(three, "T_p99").max()) for name, three in own.items()}
-    each = (
-        f"{name.replace('_', ' ')} {mean[name][0]:.2f}/{mean[name][1]:.0f}" for name in sorted(mean, key=mean.get)[::-1]
-    )
+    ordered = sorted(mean, key=mean.get)[::-1]
+    each = (f"{name.replace('_', ' ')} {mean[name][0]:.2f}/{mean[name][1]:.0f}" for name in ordered)
     return [f"- **11.** Mean strain/temperature of 99 % (K): {', '.join(each)}. The paper has oblate before angular."]
 
 

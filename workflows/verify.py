@@ -443,8 +443,7 @@ class _ImpactCheck:
             self.hold(kind, share, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
 
     def heat(self) -> None:
-        """Rise of temperature against plastic work, dissipation, friction (of the particle, and between bodies) and torn bonds:
-        conduction only moves it."""
+        """Rise of temperature against plastic work, dissipation, friction (also of bodies) and torn bonds: conduction moves it."""
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
         stored = 0.0  # by the impacts before
