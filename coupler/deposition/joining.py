@@ -9,7 +9,7 @@ from ..contact.overlap import overlaps
 from ..errors import SolverError, SplatError
 from ..files.summary import Values
 from ..impact.domains import Domains, metals_of
-from ..impact.run import ImpactOutcome
+from ..impact.exchange import Impact
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import sound_speed
 from ..physics.metal import carried
@@ -31,15 +31,16 @@ SHELLS = 8  # of the numbering within REST: a space-filling curve in each shell 
 RELEASED_BOUND = 0.005
 
 
-def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point) -> tuple[Bodies, Values]:
+def join(
+    plan: Plan, i: int, impact: Impact, record: Values, progress: Progress, place: Point
+) -> tuple[Bodies, Values]:  # fmt: skip
     """The bodies of a sub-domain after an impact, with its splat, at rest within its window; and a report.
 
-    outcome: outcome of impact i; place: impact point, m, from which the bodies are numbered. A particle that has rebounded does not
-    join. Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError if the particle cannot be meshed, or
-    joining releases more than RELEASED_BOUND.
+    impact, record: finished impact i, and its entry in the summary; place: impact point, m, from which the bodies are numbered. A
+    particle that has rebounded does not join. Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError
+    if the particle cannot be meshed, or joining releases more than RELEASED_BOUND.
     """
-    started = clock.perf_counter()
-    record, particle = outcome.record.values, outcome.domains.particle
+    started, particle, kinetic_0 = clock.perf_counter(), impact.particle, float(record["kinetic_energy_0_J"])
     report: Values = {
         "impact": i + 1, "adhesion": plan.adhesion.kind,
         "velocity_z_m_s": float(particle.totals.momentum[2] / particle.mass.sum()), "velocity_ratio": plan.impacts[i].velocity_ratio,
@@ -48,39 +49,30 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     if report["rebounded"]:
         progress.log(f"particle {i + 1} leaves: {record['verdict_rests_on']}")
         progress.stage("bringing the target to rest")
-        new = outcome.domains.bodies.renumbered(place)
-        report |= {"bodies": 0, "detached": [], **_settled(plan, i, outcome, new)}
-        return new, report
+        new = impact.bodies.renumbered(place)
+        return new, report | {"bodies": 0, "detached": [], **_settled(plan, i, impact, kinetic_0, new)}
     progress.stage("meshing the splat")
     try:
-        new, joined = _with_splat(plan, i, outcome, place)
+        new, joined = _with_splat(plan, i, impact, place)
     except SplatError as problem:
         raise SolverError(
             f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (keys of the scene: splat.method,"
             " resolution.element_size, resolution.spacing)"
         ) from problem
-    report |= {
-        **joined,
-        "meshing_s": clock.perf_counter() - started,
-        "detached": [],
-        "before": means_of(new, new.count - 1),
-    }
+    meshing = clock.perf_counter() - started
+    report |= {**joined, "meshing_s": meshing, "detached": [], "before": means_of(new, new.count - 1)}
     progress.stage("bringing splat and target to rest")
     own = np.flatnonzero(new.impact == i + 1).tolist()
     new.separate(own)
-    report |= _settled(plan, i, outcome, new)
-    kinetic_0 = float(record["kinetic_energy_0_J"])
+    report |= _settled(plan, i, impact, kinetic_0, new)
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
             f"after impact {i + 1} the bodies are not completely in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of"
             f" its kinetic energy can still be released; the limit is {RELAXED:.0e}"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
-    report |= {
-        "after": means_of(new, new.count - 1),
-        "overlap_m": float(deep.max()),
-        "joining_s": clock.perf_counter() - started,
-    }
+    report |= {"after": means_of(new, new.count - 1), "overlap_m": float(deep.max())}
+    report["joining_s"] = clock.perf_counter() - started
     if report["released"] > RELEASED_BOUND:
         raise SolverError(
             f"splat {i + 1} released {report['released']:.2%} of the kinetic energy when it joined the target,"
@@ -89,10 +81,10 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
     return new, report
 
 
-def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tuple[Bodies, Values]:
+def _with_splat(plan: Plan, i: int, impact: Impact, place: Point) -> tuple[Bodies, Values]:
     """The bodies with the splat of impact i, before equilibrium, and a report."""
-    domains, bonds = outcome.domains, outcome.bonds
-    cloud, particle = cloud_of(domains), domains.particle
+    domains, bonds, particle = impact.domains, impact.bonds, impact.particle
+    cloud = cloud_of(domains)
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     states = [
         BodyState(
@@ -105,9 +97,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     ratio = plan.impacts[i].velocity_ratio
     own = plan.impacts[i].material
     kept = np.concatenate([body.cloud_index for body in splat.bodies])
-    shells, cores = (
-        [each for each, b in zip(states, splat.bodies, strict=True) if b.is_core == k] for k in (False, True)
-    )
+    shells, cores = ([s for s, b in zip(states, splat.bodies, strict=True) if b.is_core == k] for k in (False, True))
     materials = [*metals_of(plan, domains.bodies), *[own] * len(shells)]
     partners = np.array([plan.adhesion.joins(own, each) for each in materials])
     size = plan.splat_element_size
@@ -121,11 +111,10 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     }  # fmt: skip
 
 
-def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
+def _settled(plan: Plan, i: int, impact: Impact, kinetic_0: float, new: Bodies) -> Values:
     """Bring the bodies after impact i to rest within its window."""
     new.target.set_window(plan.impacts[i].window)
-    kinetic_0 = float(outcome.record.values["kinetic_energy_0_J"])
-    return settle(new, kinetic_0, release_time(plan), back=displacement_back(outcome.domains.target, new.target))
+    return settle(new, kinetic_0, release_time(plan), back=displacement_back(impact.target, new.target))
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:
@@ -151,8 +140,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 
 def cloud_of(domains: Domains) -> Cloud:
-    """The points of a particle at the end of an impact, with their state, and the surface of the particle with its cavities
-    (`splat.cloud.Cloud`)."""
+    """The points of a particle at the end of an impact with their state, and its surface with its cavities (`splat.cloud.Cloud`)."""
     particle, surface, law = domains.particle, domains.whole_surface, domains.particle.law[0]
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),

@@ -91,8 +91,7 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result that its files hold; an undecided impact continues. Raises the errors of `run_impact` and
-    `join`."""
+    """Compute a task, or return the result in its files; an undecided impact continues. Raises as `run_impact` and `join`."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
@@ -107,15 +106,14 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
         last = state
         files.save(TaskState(state, store.state(), None))
 
-    outcome = run_impact(plan, i, bodies.state(), task.written, store, task.before, options, save, last)
+    impact, record = run_impact(plan, i, bodies.state(), task.written, store, task.before, options, save, last)
     try:
-        record, after = outcome.record, outcome.domains.bodies
-        joined: Values = {}
+        after, joined = impact.bodies, Values()
         undecided = record.values["undecided"] is not None
         if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
-            after, joined = join(plan, i, outcome, options.progress, task.place)
+            after, joined = join(plan, i, impact, record.values, options.progress, task.place)
     finally:
-        outcome.domains.particle.close()
+        impact.particle.close()
     result = TaskResult(after.state(), record, prepared, joined, store.state())
     can_go_on = undecided or record.values["rebounded"] is None
     if joined or can_go_on:  # else the run ends here

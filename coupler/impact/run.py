@@ -1,13 +1,12 @@
 """Computation of one impact: from a target to its outcome, with retries and checkpoints."""
 
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ..contact.particle_bonds import ParticleBonds
 from ..core.records import copied, put
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
@@ -15,8 +14,8 @@ from ..plan.cost import forecast
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
-from ..target.bodies import Bodies, BodiesState
-from .domains import Domains, build_domains, restored_target
+from ..target.bodies import BodiesState
+from .domains import build_domains, restored_target
 from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState
 from .loop import advance_to_end
@@ -34,8 +33,7 @@ class RunOptions:
     log_file: log file of LAMMPS; threads: number of threads that share the loops of a step and the work between impacts; numerics:
     values in place of the defaults of `particle.particle.Numerics`; probe: function called with the `Impact` after each chunk of
     steps; checkpoint_every: wall time between checkpoints, s; until (s): new time limit of an impact that continues after its first
-    limit, None: the time is doubled; skip_failed: leave out impacts that fail; jobs: number of impacts of a batch that are computed
-    at the same time.
+    limit, None: the time is doubled; skip_failed: leave out impacts that fail; jobs: impacts of a batch at the same time.
     """
 
     progress: Progress
@@ -48,16 +46,6 @@ class RunOptions:
     until: float | None = None
     skip_failed: bool = False
     jobs: int = 1
-
-
-@dataclass(frozen=True)
-class ImpactOutcome:
-    """A finished impact. domains: target and particle, whose LAMMPS still runs; bonds: bonds of the particle, or None; record: its
-    entry for summary.json."""
-
-    domains: Domains
-    bonds: ParticleBonds | None
-    record: ImpactRecord
 
 
 @dataclass(frozen=True)
@@ -84,8 +72,8 @@ def run_impact(
     options: RunOptions,
     save: Callable[[RunningState], None],
     resume_from: RunningState | None = None,
-) -> ImpactOutcome:
-    """Compute impact i of a plan from its start, or from a stored state, to its end.
+) -> tuple[Impact, ImpactRecord]:
+    """Compute impact i of a plan from its start or a state to its end. Returns the impact, whose LAMMPS runs, and its record.
 
     bodies: target before the impact; written: amount of data in each file before the impact, None if the files start with it; before
     (s): simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
@@ -98,93 +86,73 @@ def run_impact(
     if resume_from is not None:
         retries, watch = list(resume_from.retries), _WallClock(resume_from.wall, resume_from.looped)
         options.progress.log(f"continuing from {(before + resume_from.impact.course.time) * 1e9:.1f} ns")
+    p = plan.impacts[i]
     with stop_signals() as signals:
         while True:
             met, level = (resume_from.impact.bodies, resume_from.level) if resume_from is not None else (bodies, None)
-            attempt = _Attempt(plan, i, restored_target(plan, met), store, before, options, retries, level)
+            target = restored_target(plan, met)
+            options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
+            options.progress.stage("making the particle")
+            numerics, dt_factor = (retries[-1].numerics, retries[-1].dt_factor) if retries else (options.numerics, 1.0)
+            impact = Impact(build_domains(plan, i, target, options.log_file, numerics, options.ranks, level))
+            impact.dt_factor = dt_factor
+            ending = _end_criterion(plan, i, impact.ledger.kinetic_0)
+            recorder = Recorder(plan, i, store, options.progress, before)
             try:
                 if resume_from is not None:
-                    attempt.restore(resume_from)
-                return attempt.run(watch, signals, save)
+                    impact.restore(resume_from.impact)
+                    put(resume_from.ending, ending)
+                    recorder.seen = resume_from.recorder
+                    ending.extend(impact.time, options.until)
+                return impact, _record(impact, ending, recorder, retries, options, watch, signals, save)
             except BaseException as error:
-                attempt.impact.particle.close()
+                impact.particle.close()
                 if not isinstance(error, SolverError):
                     raise
-                retry = next_retry(retries, options.numerics, error, i + 1, before + attempt.impact.time)
+                retry = next_retry(retries, options.numerics, error, i + 1, before + impact.time)
                 options.progress.log(str(retry))
                 retries.append(retry)
                 store.go_back(written, options.progress.log)
                 resume_from = None
 
 
-class _Attempt:
-    """One attempt to compute an impact, with the numerics and the time step of the last retry."""
+def _record(
+    impact: Impact, ending: EndCriterion, recorder: Recorder, retries: list[Retry], options: RunOptions, watch: "_WallClock",
+    signals: StopSignals, save: Callable[[RunningState], None],
+) -> ImpactRecord:  # fmt: skip
+    """Compute the impact to its end. Write a checkpoint if the impact can continue from there."""
+    saved = clock.perf_counter()
 
-    def __init__(
-        self,
-        plan: Plan,
-        i: int,
-        bodies: Bodies,
-        store: Store,
-        before: float,
-        options: RunOptions,
-        retries: Sequence[Retry],
-        level: float | None,
-    ):
-        """Build the domains and start LAMMPS. bodies, level: as in `build_domains`."""
-        p = plan.impacts[i]
-        self.plan, self.i, self.options, self.retries = plan, i, options, retries
-        options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
-        options.progress.stage("making the particle")
-        numerics = retries[-1].numerics if retries else options.numerics
-        self.domains = build_domains(plan, i, bodies, options.log_file, numerics, options.ranks, level)
-        self.impact = Impact(self.domains)
-        self.impact.dt_factor = retries[-1].dt_factor if retries else 1.0
-        self.ending = _end_criterion(plan, i, self.impact.ledger.kinetic_0)
-        self.recorder = Recorder(plan, i, store, options.progress, before)
+    def save_state() -> None:
+        done = impact.state(), copied(ending), recorder.seen, list(retries)
+        save(RunningState(*done, impact.domains.level, watch.wall, watch.looped))
 
-    def restore(self, state: RunningState) -> None:
-        """Continue from a state of the unfinished impact."""
-        self.impact.restore(state.impact)
-        put(state.ending, self.ending)
-        self.recorder.seen = state.recorder
-        self.ending.extend(self.impact.time, self.options.until)
-
-    def run(self, watch: "_WallClock", signals: StopSignals, save: Callable[[RunningState], None]) -> ImpactOutcome:
-        """Compute the impact to its end. Write a checkpoint if the impact can continue from there."""
-        impact, ending, recorder, saved = self.impact, self.ending, self.recorder, clock.perf_counter()
-
-        def save_state() -> None:
-            done = impact.state(), copied(ending), recorder.seen, list(self.retries)
-            save(RunningState(*done, self.domains.level, watch.wall, watch.looped))
-
-        def keep() -> None:
-            """Write a checkpoint if one is due. After a signal, write one and raise Stopped."""
-            nonlocal saved
-            if signals.number or clock.perf_counter() - saved >= self.options.checkpoint_every:
-                save_state()
-                saved = clock.perf_counter()
-            if signals.number:
-                raise Stopped(signals.number)
-
-        recorder.start(impact)
-        watch.start_loop()
-        advance_to_end(impact, ending, recorder, keep, self.options.probe)
-        if not ending.touched:
-            raise NoContactError(
-                f"particle {self.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: check gap, angle and offset of"
-                " [particle], or give a larger end.time"
-            )
-        record = summarise(impact, recorder, ending, self.retries, watch.wall, watch.looped)
-        if record.values["undecided"] is not None or record.values["rebounded"] is None:
+    def keep() -> None:
+        """Write a checkpoint if one is due. After a signal, write one and raise Stopped."""
+        nonlocal saved
+        if signals.number or clock.perf_counter() - saved >= options.checkpoint_every:
             save_state()
-        return ImpactOutcome(self.domains, impact.bonds, record)
+            saved = clock.perf_counter()
+        if signals.number:
+            raise Stopped(signals.number)
+
+    recorder.start(impact)
+    watch.start_loop()
+    advance_to_end(impact, ending, recorder, keep, options.probe)
+    if not ending.touched:
+        raise NoContactError(
+            f"particle {recorder.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: check gap, angle and offset of"
+            " [particle], or give a larger end.time"
+        )
+    record = summarise(impact, recorder, ending, retries, watch.wall, watch.looped)
+    if record.values["undecided"] is not None or record.values["rebounded"] is None:
+        save_state()
+    return record
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats a slow particle counts as at rest,
-    because such a particle can creep. On a coating, a particle that the scene ties to the target may end before its contact force
-    vanishes."""
+    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats, where it can creep, a slow particle
+    counts as at rest. On a coating, a particle that the scene ties may end before its contact force vanishes."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
     slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0

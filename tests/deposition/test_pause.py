@@ -286,10 +286,10 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
         return true_join(plan, i, *more)
 
     def run_impact(plan: Any, i: int, *more: Any) -> Any:
-        outcome = true_impact(plan, i, *more)
+        impact, record = true_impact(plan, i, *more)
         if plan.impacts[i].material.name == "Ti":
-            outcome.record.values["undecided"] = reason
-        return outcome
+            record.values["undecided"] = reason
+        return impact, record
 
     name, function = ("run_impact", run_impact) if how == "undecided" else ("join", join)
     monkeypatch.setattr(task, name, function)
