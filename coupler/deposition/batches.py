@@ -86,9 +86,8 @@ def side_by_side(
     with stop_signals() as signals:
         try:
             for task, cut in found:
-                future = pool.submit(
-                    run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
-                )
+                of_run = dict(options.numerics), options.checkpoint_every, options.until
+                future = pool.submit(run_alone, task, *of_run, threads)
                 begun.append((task, cut, future))
             first, last = begun[0][0].i + 1, begun[-1][0].i + 1
             before = forecast(begun[0][0].plan).shares[first - 1][0]

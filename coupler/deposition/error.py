@@ -1,5 +1,4 @@
-"""The resolution error of a run. It follows from coarser runs: the same scene with fewer points, computed at the same time or
-afterwards."""
+"""The resolution error of a run, from coarser runs: the same scene with fewer points, computed at the same time or afterwards."""
 
 import contextlib
 import json
@@ -42,8 +41,7 @@ class Companions:
     _process: BaseProcess | None = None
 
     def begin(self, on_another_core: bool) -> None:
-        """Remove coarser runs that are left from an earlier run. on_another_core: whether to start a process that computes the
-        coarser runs."""
+        """Remove coarser runs of an earlier run. on_another_core: whether to start a process that computes the coarser runs."""
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
@@ -125,8 +123,7 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
     """The error of each measure: {"half_width": error, SI; "order": order of the extrapolation; "coarser": values of the coarser
-    runs}. levels: the measures of an impact at each resolution, the finest first. Measures without values at two resolutions are left
-    out."""
+    runs}. levels: the measures of an impact at each resolution, the finest first. Measures known at one resolution are left out."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

@@ -95,16 +95,19 @@ class Deposition:
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
         """Compute the impacts of a batch, each on its own sub-domain of the target. Returns the results up to the first undecided
-        impact. If an impact fails, it is removed from the plan and the result is empty. If the run may not skip impacts, the error of
-        the failed impact is raised."""
+        impact. An impact that fails is removed from the plan and the result is empty, or its error is raised."""
         done = self._done(batch, target)
         for k, each in enumerate(done):
-            if (error := self._failure(each)) is not None:
+            error = each.result if isinstance(each.result, ColdsprayError) else None
+            undecided = None if error is not None else each.of.record.values["undecided"]
+            if undecided is not None and self._may_skip:
+                error = SolverError(str(undecided))
+            if error is not None:
                 self._skip(each.task, error)
                 self._save(target, self.store.state())
                 clear(self.folder)
                 return []
-            if each.of.record.values["undecided"] is not None:
+            if undecided is not None:
                 return done[: k + 1]
         return done
 
@@ -166,8 +169,7 @@ class Deposition:
         self._unwritten = None if is_written else replay
 
     def cool(self, target: Bodies) -> Bodies:
-        """The closing stage, if the plan has one: the bodies cool to ambient temperature, come to equilibrium and are written. Returns
-        the bodies that stay."""
+        """The closing stage of a plan that has one: bodies cool to ambient, settle and are written. Returns those that stay."""
         if self.plan.ambient is None or self.undecided:
             return target
         if not self.can_go_on:
@@ -190,13 +192,6 @@ class Deposition:
         self.options.progress.record(report.screen(Result(self.folder), verbose=True))
 
     # ---- impacts that fail ---------------------------------------------------------------------------------------
-
-    def _failure(self, done: Done) -> ColdsprayError | None:
-        """The error because of which an impact is skipped or the run ends; None for a successful impact."""
-        if isinstance(done.result, ColdsprayError):
-            return done.result
-        undecided = done.of.record.values["undecided"]
-        return SolverError(str(undecided)) if undecided is not None and self._may_skip else None
 
     def _skip(self, task: Task, error: ColdsprayError) -> None:
         """Remove a failed impact from the plan, from plan.json and from the files of the run. Raises its error if the run may not skip

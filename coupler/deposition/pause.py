@@ -56,9 +56,7 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     conducted = clock.perf_counter()
     softer = t.elements.eps_recovered - taken > _SOFTER * t.elements.eps_p
     changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
-    beyond = np.nextafter(
-        changed.max(initial=0.0), np.inf
-    )  # a shell of the numbering has one distance: include all of it
+    beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # a shell of the numbering has one distance: all of it
     radius, known = max(radius, float(beyond)), Known()
     report: Values = {"balance_steps": _balance(bodies, kinetic_0, radius, known), **cooling}
     report |= _settled(bodies, kinetic_0, radius, known)
@@ -87,17 +85,14 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     _balance(bodies, kinetic_0, np.inf, known)
     at_first = [plan.impacts[i - 1].temperature if i else plan.target.temperature for i in bodies.impact]
     came = list(zip(metals_of(plan, bodies), at_first, strict=True))
-    before = {
-        "T_max_before_K": float(t.elements.T.max()),
-        "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
-    }
+    T_max, T_mean = float(t.elements.T.max()), float(np.average(t.elements.T, weights=t.mesh.V0))
     shared, laws = _contraction(*came[0], ambient), np.split(t.laws, len(came))
     _contract(t, shared)
     energies = [_missing_energy(*each, ambient, law, shared) for each, law in zip(came, laws, strict=True)]
     missing = np.array(energies)[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
     t.elements.heat[:] += missing
     t.balance.heat += float(missing.sum())
-    report: Values = {**before, "ambient_K": ambient, "detached": []}
+    report: Values = {"T_max_before_K": T_max, "T_mean_before_K": T_mean, "ambient_K": ambient, "detached": []}
     for number in range(1, COOLINGS + 1):
         _take_heat_away(t, ambient)
         report |= _settled(bodies, kinetic_0, np.inf, known)
@@ -178,11 +173,8 @@ def _contract(t: Target, strain: float) -> None:
     stay constant, so that no element yields."""
     t.nodes.x[:] *= 1.0 + strain
     t.rest_scale *= 1.0 + strain
-    energy = (
-        np.array([_energy_of(law, strain) for law in np.split(t.laws, len(t.laws))])[t.law_of]
-        * t.laws["expansion"][t.law_of]
-        * t.mesh.V0
-    )
+    of_law = np.array([_energy_of(law, strain) for law in np.split(t.laws, len(t.laws))])
+    energy = of_law[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
     pending = t.elements.heat.copy()
     t.elements.heat[:] = energy
     t.balance.heat += float(energy.sum())

@@ -116,8 +116,7 @@ def resume(
     The number of ranks may change. A finished run is returned unchanged. An undecided run continues its last impact until `until` (s,
     time of this impact); by default the time limit is doubled. A run that met its end criterion without a verdict
     (`Result.at_own_end`) continues only with `until`. error: measure the error if the run was started with it. Other arguments and
-    errors as for `run`; also raises CheckpointError for a checkpoint of another version or scene, or if the impact is already
-    computed up to `until`.
+    errors as for `run`; also raises CheckpointError for a checkpoint of another version or scene, or if `until` is already reached.
     """
     folder = Path(out)
     result = Result(folder)
@@ -134,11 +133,8 @@ def resume(
             f" give a later time with --until"
         )
     if until is not None and not (result.finished and checkpoint.stored(folder)):
-        why = (
-            "has no checkpoint, so that --until cannot continue it"
-            if result.finished
-            else "is not finished: first resume it without --until"
-        )
+        begun = "is not finished: first resume it without --until"
+        why = "has no checkpoint, so that --until cannot continue it" if result.finished else begun
         raise CheckpointError(f"{folder} {why}")
     companions = Companions(decided, folder, knobs, _alone) if error else None
     return _complete(deposit(decided, folder, options), companions, options)

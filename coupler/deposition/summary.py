@@ -108,8 +108,7 @@ def _efficiency(impacts: Sequence[Values]) -> Values:
 
 
 def unsettled(report: Values) -> list[str]:
-    """Warnings of a report (of a joining with its pause, or of the closing stage) that did not reach equilibrium or ambient
-    temperature."""
+    """Warnings of a report (of a joining with its pause, or the closing stage) without equilibrium or ambient temperature."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
         return [
             f"after the closing stage the temperatures of the bodies differ by {off:.0f} K from the ambient"
@@ -127,8 +126,7 @@ def unsettled(report: Values) -> list[str]:
 
 
 def _detached(reports: Sequence[Values]) -> dict[int, float]:
-    """Mass (kg) that has come off from each splat, by its number. reports: reports of the joining of splats and of the closing
-    stage."""
+    """Mass (kg) that has come off each splat, by its number. reports: of the joining of splats and of the closing stage."""
     mass: dict[int, float] = {}
     for record in (record for report in reports for record in report.get("detached", [])):
         mass[record["splat"]] = mass.get(record["splat"], 0.0) + record["mass_kg"]
@@ -137,8 +135,5 @@ def _detached(reports: Sequence[Values]) -> dict[int, float]:
 
 def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:
     """A warning for each impact with a share above the limit."""
-    return [
-        f"impact {number}: {words.format(share=impact[key], limit=limit)}"
-        for number, impact in enumerate(impacts, 1)
-        if impact[key] is not None and impact[key] > limit
-    ]
+    shares = {number: impact[key] for number, impact in enumerate(impacts, 1) if (impact[key] or 0.0) > limit}
+    return [f"impact {number}: {words.format(share=share, limit=limit)}" for number, share in shares.items()]

@@ -75,42 +75,33 @@ def build_target(plan: Plan) -> Bodies:
     sizes = t.diameter, t.height - below, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
     top = None if t.is_flat else t.heights
     points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread, top=top, below=below), MESHING_LIMIT)
-    law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
-    fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
+    law_of = partial(law_record, on=plan.effects.switches, rate_filter=plan.impacts[0].rate_filter)
+    fixed, absorbing, on = t.faces("fixed"), t.faces("absorbing"), plan.effects
     at = plan.impacts[0].offset
     mesh = prepare(points, tets, (*at, float(t.heights(np.array([at]))[0])))
     if cut := t.faces("half_space"):
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
         mesh = replace(mesh, axis=np.array(t.centre))
-    target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
+    target = Target(mesh, law_of(t.material), t.temperature, fixed=fixed, absorbing=absorbing, conduction=on.conduction)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
     for metal, thickness in reversed(t.layers):
         below -= thickness
         disc = partial(mesher.cylinder, t.diameter, thickness, *sizes[2:], spread=t.spread, below=max(below, 0.0))
-        layer = _layer(
-            *apart(disc, MESHING_LIMIT), law_record(metal, plan.effects.switches, plan.impacts[0].rate_filter), t
-        )
+        layer = _layer(*apart(disc, MESHING_LIMIT), law_of(metal), t)
         bodies = bodies.joined([layer], Adhesion(kind="tied"), t.element_size, (*at, 0.0), None, 0)
     return _with_faces(bodies, cut) if t.layers else bodies
 
 
 def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan) -> BodyState:
     """A layer at rest without stress, of points (n,3) m and tetrahedra (m,4). law: LAW record."""
-    m = len(tets)
-    at_rest = {
-        "stress": np.zeros((m, 6)),
-        "J": np.ones(m),
-        "velocity": np.zeros_like(points),
-        "energy": np.zeros(len(points)),
-    }
+    n, m = len(points), len(tets)
     state = vars(new_rows(MetalState, m, T=np.full(m, t.temperature)))
     mass = float(law["rho"][0]) * float(np.abs(volumes(points, tets)).sum())
-    return BodyState(points=points, tets=tets, mass=mass, law=law, **at_rest, **state)
+    return BodyState(points, tets, np.zeros((m, 6)), np.ones(m), np.zeros((n, 3)), np.zeros(n), mass, law, **state)
 
 
 def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
-    """A layered substrate with its faces: the top of the uppermost layer, the sides of all, the bottom of the lowest. half_space: those
-    that belong to a half-space."""
+    """A layered substrate with its faces: top of the upper layer, all sides, bottom of the lowest. half_space: of a half-space."""
     domain = domain_now(bodies.target, bodies.body)
     mesh, of_facet = domain.mesh, bodies.body[domain.mesh.facet_element]
     sets = name_sides(mesh.points, mesh.facets)
@@ -155,8 +146,8 @@ def build_domains(
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
     impact_plan, t = plan.impacts[i], plan.target
     body = body_of(plan, i)
-    mesh, x = bodies.target.mesh, bodies.target.nodes.x
-    facets = bodies.reachable()
+    target, facets = bodies.target, bodies.reachable()
+    mesh, x = target.mesh, target.nodes.x
     offset = np.array([*impact_plan.offset, 0.0])
     if level is None:
         level = 0.0
@@ -167,7 +158,7 @@ def build_domains(
     local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
     particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
-    softer = min(impact_plan.material.K, float(bodies.target.laws["K"].min()))
+    softer = min(impact_plan.material.K, float(target.laws["K"].min()))
     k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
     points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
     own, other = impact_plan.material.effusivity(impact_plan.temperature), t.materials[-1].effusivity(t.temperature)
@@ -179,9 +170,7 @@ def build_domains(
         inside = PointConduction(body.points, body.spacing, volume, particle.law, particle.law_of)
     folds = impact_plan.shape in SHAPES or body.inner is not None
     itself = Folding(body, surface, place, k, plan.friction) if folds else None
-    paths = HeatPaths(
-        particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
-    )
+    paths = HeatPaths(particle, target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself)
     return Domains(particle, bodies, contact, surface, level, np.array(impact_plan.normal), paths, itself)
 
 
@@ -209,9 +198,8 @@ def build_particle(
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
     law = np.concatenate([law_record(metal, plan.effects.switches, p.rate_filter) for metal in p.materials])
-    settings = Numerics(
-        **({"inertia": ENOUGH} if plan.mass_scaling and plan.is_on_coating(i) else {}) | dict(numerics or {})
-    )
+    usual = {"inertia": ENOUGH} if plan.mass_scaling and plan.is_on_coating(i) else {}
+    settings = Numerics(**usual | dict(numerics or {}))
     return engine(plan.engine, settings)(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
         comm=ranks.sph_comm, log=log_file, strain=p.initial_strain, law_of=shapes.core_of(body, p.core.share) if p.core else None,

@@ -98,8 +98,7 @@ class EndCriterion(EndState):
 
     def settled(self, time: float) -> bool:
         """Whether the particle has left, or is at rest, after the greatest deformation: its contact has been silent for `quiet` s,
-        bonds have stopped its rebound, a bonded particle has been slow for `held_quiet` s, or a tied particle hardly deforms any
-        more."""
+        bonds have stopped its rebound, a bonded one has been slow for `held_quiet` s, or a tied one hardly deforms."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 

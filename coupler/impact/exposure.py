@@ -1,11 +1,11 @@
-"""Film theory of bonding: clean metal is exposed when oxide films crack, and pressed together, at each vertex of the particle's
-surface."""
+"""Film theory of bonding: at each vertex of the particle, cracks of oxide films expose clean metal, which is pressed together."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
+from ..core.arrays import Floats, Ints
 from ..core.records import Shape
 from ..geometry.triangles import areas, vertex_areas
 from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, sound_fraction
@@ -55,9 +55,7 @@ class Exposure:
         self.extruding[rows] = pressure > EXTRUSION * strength
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
 
-    def bonds(
-        self, rows: np.ndarray, film_force: np.ndarray, strength: np.ndarray, stiffness: float
-    ) -> dict[str, np.ndarray]:
+    def bonds(self, rows: Ints, film_force: Floats, strength: Floats, stiffness: float) -> dict[str, Floats]:
         """Laws of bonds (`contact.bond.Bond.tie`) at the vertices `rows` (k,). film_force (k,) N/m, strength (k,) Pa, stiffness
         Pa/m: as in `physics.adhesion.ligament_bonds`."""
         smaller, larger = self.clean[rows].T

@@ -31,8 +31,7 @@ class _OwnContact(Contact):
 
 
 def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSurface:
-    """The surface of a particle, including its cavities. body: undeformed, around its centre; place (3,) m: centre; outer: outer
-    surface."""
+    """The surface of a particle with its cavities. body: undeformed, around its centre; place (3,) m: centre; outer: outer surface."""
     if body.inner is None:
         return outer
     hole, facing = body.inner
@@ -43,13 +42,11 @@ def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSu
 class Folding:
     """Contact of all surfaces of a particle, including cavities, with each other and with themselves.
 
-    A vertex that lies behind a face when it is first found near it, as on the other side of a wall, has no contact with this face
-    (`contact.kernels.project`).
+    A vertex that is first found behind a face, as on the other side of a wall, has no contact with it (`contact.kernels.project`).
     """
 
     def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):
-        """body: undeformed, around its centre; surface: outer surface; place (3,) m: centre; stiffness (N/m): stiffness of a
-        vertex."""
+        """body: undeformed, around its centre; surface: outer surface; place (3,) m: centre; stiffness (N/m): of a vertex."""
         self.surface = whole_surface(body, surface, place)
         vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
         self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)

@@ -66,8 +66,7 @@ class HeatPaths:
         self.particle.warm(self.surface.spread_heat(into))
 
     def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertices (k,) of the particle's surface in contact, the element (k,) under each, and the heat (k,) J that it gets in
-        `time` s.
+        """Vertices (k,) of the particle in contact, the element (k,) under each, and the heat (k,) J that it gets in `time` s.
 
         Each pair is modelled as two lumps, a layer of the particle one spacing thick and the vertex's part of the element. Their
         temperatures approach each other exponentially, which is stable for any time. The thermal resistance is that of the material
@@ -85,9 +84,8 @@ class HeatPaths:
         T_a, T_b = surface.values(particle.points.T)[rows], target.elements.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         area_b = areas(target.nodes.x, target.mesh.facets[facets])
-        deep_b = (
-            0.75 * target.elements.volume[elements] / area_b
-        )  # distance of the centroid of a tetrahedron from its face
+        # distance of the centroid of a tetrahedron from its face
+        deep_b = 0.75 * target.elements.volume[elements] / area_b
         a, b = particle.law[0], target.laws[target.law_of[elements]]
         resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
         C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing

@@ -30,8 +30,7 @@ class Ledger:
     numerical_particle: numerical dissipation of the SPH scheme, the work against internal forces less elastic and plastic energy. Its
     parts viscosity_particle and hourglass_particle are measured from their own forces; unexplained_particle is the rest (all of it
     with an engine that does not measure them). numerical_target: work of the bulk viscosity and of the inertia of scaled elements.
-    Elastic and plastic energy of the target are functions of its state: the drift includes errors of its stress update and of the
-    contact.
+    Elastic and plastic energy of the target are functions of its state: the drift includes errors of stress update and contact.
 
     kinetic_0 (J): initial kinetic energy; momentum_0 (3,) N s: initial momentum; scale: norm of the initial momentum of the
     particle alone; before: terms at the start, J; rows: terms at the last update.
@@ -52,8 +51,7 @@ class Ledger:
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
     def update(self, domains: Domains, bonds: ParticleBonds | None = None) -> dict[str, float]:
-        """Compute the present energies (J), `drift` (relative to the initial kinetic energy) and `momentum_error` (relative to the
-        initial momentum).
+        """Compute present energies (J), `drift` (over the initial kinetic energy) and `momentum_error` (over initial momentum).
 
         bonds: bonds between particle and target, None if there are none.
         """
@@ -69,19 +67,13 @@ class Ledger:
         return r
 
     @property
-    def numerical_dissipation(self) -> float:
-        """Numerical dissipation of both domains divided by the initial kinetic energy."""
-        return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
-
-    @property
     def dissipation_of_plastic(self) -> float | None:
         """Numerical dissipation of the particle divided by its plastic work; None if the plastic work is below FLOWS."""
         plastic = self.rows["plastic_particle"]
         return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
 
     def check(self, drift_bound: float | None = None) -> None:
-        """Raise SolverError if energy or momentum is not in balance at the last update. drift_bound: largest allowed drift, by
-        default DRIFT_BOUND."""
+        """Raise SolverError if energy or momentum was not in balance at the last update. drift_bound: default DRIFT_BOUND."""
         bound = DRIFT_BOUND if drift_bound is None else drift_bound
         drift, error = self.rows["drift"], self.rows["momentum_error"]
         if not abs(drift) <= bound:
@@ -99,12 +91,10 @@ class Ledger:
         """Raise SolverError if the energy balance of a finished impact is not closed."""
         self.check()
         # losses by viscosity and hourglass control must not hide energy that is generated elsewhere
-        dissipated, unexplained = (
-            self.rows[f"{name}_particle"] / self.kinetic_0 for name in ("numerical", "unexplained")
-        )
-        if dissipated < DISSIPATION_BOUND or unexplained < 2.0 * DISSIPATION_BOUND:
+        numerical, unexplained = (self.rows[f"{k}_particle"] / self.kinetic_0 for k in ("numerical", "unexplained"))
+        if numerical < DISSIPATION_BOUND or unexplained < 2.0 * DISSIPATION_BOUND:
             raise SolverError(
-                f"the SPH scheme generated {-min(dissipated, unexplained):.2%} of the initial kinetic energy, because it is unstable: "
+                f"the SPH scheme generated {-min(numerical, unexplained):.2%} of the initial kinetic energy, because it is unstable: "
                 "try a finer preset"
             )
 

@@ -66,9 +66,8 @@ def plastic_zone(target: Target, heights: Callable[[Floats], Floats]) -> tuple[f
 
 
 def measure(domains: Domains, diameter: float, level: float, ground: Callable[[Floats], Floats]) -> dict[str, float]:
-    """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): height from
-    which heights are measured; ground: heights of the undeformed ground, as in `plastic_zone`. Means are weighted by mass; percentiles
-    count points."""
+    """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): zero of
+    heights; ground: heights of the undeformed ground, as in `plastic_zone`. Means are over mass, percentiles over points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = particle.law["rho"]
     matter = particle.mass * (rho[0] / rho[particle.law_of])  # with the density of the surface everywhere

@@ -57,9 +57,8 @@ def cell_fields(plan: Plan, bodies: Bodies) -> dict[str, np.ndarray]:
     own = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.elements.plastic_strain}
     if plan.has_cores:
         both = zip(metals_of(plan, bodies), bodies.impact.tolist(), strict=True)
-        own["core"] = np.array([float(i > 0 and metal is not plan.impacts[i - 1].material) for metal, i in both])[
-            bodies.body
-        ]
+        cores = [float(i > 0 and metal is not plan.impacts[i - 1].material) for metal, i in both]
+        own["core"] = np.array(cores)[bodies.body]
     return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
@@ -147,8 +146,7 @@ class Recorder:
         return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
-        """Record the extreme values for the validity of the models, and whether the particle has reached a rim. skin (k,3) m: surface
-        of the particle."""
+        """Record extreme values for the validity of the models, and whether the particle reaches a rim. skin (k,3) m: its surface."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
         if (number := self.impact_plan.brittle) is not None:
@@ -200,8 +198,7 @@ class Recorder:
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:
-        """Height (m) by which a particle that has rebounded has risen since its last contact. Its shape is measured relative to this
-        height."""
+        """Height (m) by which a rebounded particle has risen since its last contact. Its shape is measured from this height."""
         return max(0.0, float(impact.particle.x[:, 2].mean()) - self.seen.touched_at)
 
     def _crater(self, impact: Impact) -> float:

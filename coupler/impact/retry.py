@@ -1,7 +1,6 @@
-"""Retries after a failure in an impact: the impact is computed again from its start, with the next of REMEDIES. Each retry is
-reported."""
+"""Retries after a failure: the impact is computed again from its start, with the next of REMEDIES. Each retry is reported."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..errors import SolverError
@@ -9,8 +8,7 @@ from ..errors import SolverError
 
 @dataclass(frozen=True)
 class Remedy:
-    """Changed settings for a retry. dt_factor: factor on the stable time step; words: description; numerics: minimum values of the
-    particle's `Numerics`."""
+    """Settings of a retry. dt_factor: factor on the stable time step; words: description; numerics: least values of `Numerics`."""
 
     dt_factor: float
     words: str
@@ -30,8 +28,7 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class Retry:
-    """Record of one retry. time_s: time of the failure since the start of the run; numerics: numerics of the particle in the
-    retry."""
+    """Record of one retry. time_s: time of the failure since the start of the run; numerics: those of the retry."""
 
     impact: int
     time_s: float
@@ -44,14 +41,12 @@ class Retry:
         return f"retried at {self.time_s * 1e9:.2f} ns: {self.reason}; the impact is computed again from its start with {self.remedy}"
 
 
-def next_retry(
-    before: Sequence[Retry], requested: Mapping[str, float], error: SolverError, impact: int, time: float
-) -> Retry:
-    """The next retry after an error. before: earlier retries of the same impact; requested: numerics that the user has set; time (s):
+def next_retry(before: list[Retry], asked: Mapping[str, float], error: SolverError, impact: int, time: float) -> Retry:
+    """The next retry after an error. before: earlier retries of the same impact; asked: numerics that the user has set; time (s):
     time of the error. Raises the error if no remedy is left."""
     if len(before) >= len(REMEDIES):
         raise error
     remedy = REMEDIES[len(before)]
-    raised = {name: max(least, requested.get(name, least)) for name, least in remedy.numerics.items()}
+    raised = {name: max(least, asked.get(name, least)) for name, least in remedy.numerics.items()}
     reason = str(error).split(". Try ")[0].split(": try ")[0]
-    return Retry(impact, time, reason, remedy.words, remedy.dt_factor, {**requested, **raised})
+    return Retry(impact, time, reason, remedy.words, remedy.dt_factor, {**asked, **raised})

@@ -13,8 +13,7 @@ class Stopped(KeyboardInterrupt):
 
 
 class StopSignals:
-    """The signals received so far. number: number of the first signal, 0 if there is none. A second signal interrupts the program at
-    once."""
+    """The signals so far. number: number of the first signal, 0 if there is none. A second signal interrupts the program at once."""
 
     number = 0
 

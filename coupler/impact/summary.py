@@ -56,14 +56,9 @@ def summarise(
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     law, impact_plan = recorder.plan.adhesion, recorder.impact_plan
-    own = {
-        **verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk),
-        **_computed(impact, recorder),
-        "wall_s": wall,
-        "wall_loop_s": looped,
-        "idle_share": particle.idle(looped),
-        "undecided": undecided,
-    }
+    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk)
+    own |= _computed(impact, recorder)
+    own |= {"wall_s": wall, "wall_loop_s": looped, "idle_share": particle.idle(looped), "undecided": undecided}
     end: Values = {**measured}
     if not ending.settled(impact.time) and not is_lost and not broken:
         own |= {"verdict": UNDECIDED, "verdict_by": None, "verdict_is_close": False, **dict.fromkeys(_NEED_VERDICT)}
@@ -77,20 +72,16 @@ def summarise(
         own |= dict.fromkeys(unknown)
         refused = dict.fromkeys([*unknown, *(f"end.{key}" for key in end if key != "time_s")], undecided)
     if own["dissipation_of_plastic"] is None:
-        refused["dissipation_of_plastic"] = (
-            f"the plastic work of the particle is below {FLOWS:.0%} of its kinetic energy"
-        )
+        share = f"{FLOWS:.0%} of its kinetic energy"
+        refused["dissipation_of_plastic"] = f"the plastic work of the particle is below {share}"
     if recorder.impact_plan.brittle is not None:
         own |= {"tension_max_Pa": recorder.seen.tension, "broken_share": recorder.seen.broken_share}
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
     greatest = accepted(recorder.seen.greatest, refused, "greatest.") if recorder.seen.greatest is not None else None
-    return ImpactRecord(
-        {**own, "greatest": greatest, "end": end, "refused": refused, "errors": {}},
-        [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
-        list(retries),
-        sum(particle.everywhere(peak_memory)),
-    )
+    values = {**own, "greatest": greatest, "end": end, "refused": refused, "errors": {}}
+    warnings = [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)]
+    return ImpactRecord(values, warnings, list(retries), sum(particle.everywhere(peak_memory)))
 
 
 def _broken(recorder: Recorder) -> str:
@@ -122,7 +113,7 @@ def _computed(impact: Impact, recorder: Recorder) -> Values:
         "contact_dropped_bodies": impact.bodies.contact.pairs.sums.dropped if impact.bodies.contact is not None else 0,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
-        "numerical_dissipation": ledger.numerical_dissipation,
+        "numerical_dissipation": (energies["numerical_particle"] + energies["numerical_target"]) / ledger.kinetic_0,
         "dissipation_of_plastic": ledger.dissipation_of_plastic,
         "points": particle.n,
         "elements": len(target.mesh.conn),
@@ -185,9 +176,8 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
     melting = particle.law["T_m"][particle.law_of], target.laws["T_m"][target.law_of]
     shares = particle.mass / particle.mass.sum(), target.mesh.V0 / sphere
     warnings = []
-    for name, T, T_m, share in zip(
-        ("particle", "target"), (particle.points.T, target.elements.T), melting, shares, strict=True
-    ):
+    present = particle.points.T, target.elements.T
+    for name, T, T_m, share in zip(("particle", "target"), present, melting, shares, strict=True):
         molten = T > T_m
         if molten.any():
             worst = int(np.argmax(T / T_m))

@@ -1,5 +1,4 @@
-"""The vertices of the particle that are in contact at one time of an impact. They are computed once, and used for exposure and
-bonds."""
+"""The vertices of the particle in contact at one time of an impact, computed once for exposure and bonds."""
 
 from functools import cached_property
 
@@ -12,8 +11,7 @@ from .domains import Domains
 
 
 class Touching:
-    """Vertices in contact. rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,):
-    facets under them."""
+    """Vertices in contact. rows (k,): vertices within CONTACT_RANGE spacings of the target; facets (k,): under them."""
 
     def __init__(self, domains: Domains):
         self._domains = domains
@@ -51,8 +49,7 @@ class Touching:
 
 
 def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Flow stress (k,) Pa of the softer metal at vertices `rows` (k,) on facets (k,), at slow rate and at present strain and
-    temperature."""
+    """Flow stress (k,) Pa of the softer metal at vertices `rows` (k,) on facets (k,), at slow rate, present strain and temperature."""
     surface, particle, target = domains.surface, domains.particle, domains.target
     at, p, e = target.mesh.facet_element[facets], particle.points, target.elements
     eps_p, T, gradient = (surface.values(values)[rows] for values in (p.eps_p, p.T, p.eps_gradient))

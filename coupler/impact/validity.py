@@ -59,8 +59,7 @@ class Extremes:
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
-        """Warnings about model limits that the impact has exceeded. impact: number of the impact, from 1; materials: materials of
-        "particle" and "target"."""
+        """Warnings about exceeded limits of models. impact: number of the impact, from 1; materials: of "particle" and "target"."""
         texts, left = [], []
         for body, kept in vars(self).items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
@@ -78,8 +77,7 @@ class Extremes:
 
 
 def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
-    """A text about the values of a body outside the fitted range of its strength law, as a list with one element; an empty list if
-    all values are inside the range."""
+    """A text about the values of a body outside the fitted range of its strength law, as a list; empty if there are none."""
     fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
     if kept.rate > metal.fitted_rate:

@@ -128,8 +128,7 @@ def clip(
 
 
 def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
-    """Joints between each body and the bodies before it. Bonded nodes belong to the later body; touching nodes may belong to either
-    body."""
+    """Joints between each body and those before it. Bonded nodes belong to the later body; touching nodes to either."""
     found = []
     near = earlier_neighbours(surfaces, points, reach) if len(surfaces.facets) else []
     for later in (number for number, earlier in enumerate(near) if earlier):
@@ -140,15 +139,11 @@ def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float
         normal = area_vectors(points, triangles)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         kept = (pairs.area > 0.0) & (bonded | touches)
-        law = at_nodes[pairs.nodes, 2:] / np.maximum(
-            at_nodes[pairs.nodes, :1], 0.5
-        )  # where a cut is near, some of the node is bonded
-        found.append(
-            Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law).only(kept)
-        )
-    n, three = np.zeros(0), np.zeros((0, 3))
-    none = Joints(
-        n.astype(int), three.astype(int), three, three, n, n, n.astype(bool), np.zeros((0, at_nodes.shape[1] - 2))
-    )
+        # where a cut is near, some of the node is bonded
+        law = at_nodes[pairs.nodes, 2:] / np.maximum(at_nodes[pairs.nodes, :1], 0.5)
+        joints = Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law)
+        found.append(joints.only(kept))
+    n, three, law = np.zeros(0), np.zeros((0, 3)), at_nodes[:0, 2:]
+    none = Joints(n.astype(int), three.astype(int), three, three, n, n, n.astype(bool), law)
     columns = zip(*(vars(each).values() for each in [none, *found]), strict=True)
     return Joints(*(np.concatenate(column) for column in columns))

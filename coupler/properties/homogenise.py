@@ -65,8 +65,7 @@ class Problem:
         return self._driven([held] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
-        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions. Entries that combine two loads with different
-        conditions are zero."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; zero for two loads with different conditions."""
         if self.components == 1:
             return self._driven(list(self.on))
         held = np.zeros((6, 3, len(self.x)), bool)
@@ -150,8 +149,7 @@ class Problem:
         return csr_array(T[:, free]), free
 
     def _rigid(self) -> NDArray:
-        """Fields (components N, modes) that have no energy: translations and rotations for displacement, a constant for
-        temperature."""
+        """Fields (components N, modes) without energy: translations and rotations of displacement, a constant temperature."""
         n = len(self.x)
         if self.components == 1:
             return np.ones((n, 1))
@@ -220,8 +218,7 @@ def _problem(block: Block, K: csr_array, components: int) -> Problem:
 
 
 def _solved(K: csr_array, load: NDArray) -> tuple[NDArray, bool]:
-    """The solution of the linear system, and whether it was not found within ITERATIONS. The matrix may be singular for motions on
-    which the load does no work."""
+    """The solution, and whether it was not found within ITERATIONS. The matrix may be singular where the load does no work."""
     diagonal = K.diagonal()
     scale = diags_array(1.0 / np.where(diagonal > 0.0, diagonal, 1.0))
     x, unfinished = cg(K, load, rtol=TOLERANCE, maxiter=ITERATIONS, M=scale)

@@ -82,9 +82,8 @@ def properties(
     """Effective properties of the cold coating of a run.
 
     side (m): edge of the block in the plane of the surface (default: the square in the disc that `coating` measures); heights (m):
-    lowest and highest z of the block (default: from above 99 % of the substrate to below 90 % of the tops); conductance (W/(m2 K)):
-    of facets that touch (default: CONDUCTANCE). Raises StoreError if the run has no cold coating, or the block is too small for its
-    splats.
+    lowest and highest z of the block (default: from above 99 % of the substrate to below 90 % of the tops); conductance (W/(m2 K)): of
+    facets that touch (default: CONDUCTANCE). Raises StoreError without a cold coating, or for too small a block.
     """
     _, splats, metals = cold_coating(result)
     low, high, open_share = corners(splats, side, heights)
@@ -96,16 +95,13 @@ def properties(
 
 def cold_coating(result: Result) -> tuple[Plan, Splats, list[Material]]:
     """The plan of a run, its cold coating and the metal of each body. Raises StoreError if the run has no cold coating."""
-    splats = read(result)
+    splats, folder = read(result), result.directory
     if not splats.is_cold:
-        raise StoreError(
-            f'{result.directory} has no cold coating: add at = "cold" under [end], and run the scene again'
-        )
+        raise StoreError(f'{folder} has no cold coating: add at = "cold" under [end], and run the scene again')
     if not {"bonded", "touching"} <= set(splats.mesh.data):
-        raise StoreError(
-            f"{result.directory}: cold.vtkhdf does not say which nodes are bonded: run the scene again with this version"
-        )
-    plan = read_plan(result.directory)
+        remedy = "run the scene again with this version"
+        raise StoreError(f"{folder}: cold.vtkhdf does not say which nodes are bonded: {remedy}")
+    plan = read_plan(folder)
     ground = plan.target.materials
     made = list(enumerate(splats.impact))[len(ground) :]
     return plan, splats, [*ground, *(plan.impacts[i - 1].materials[-1 if b in splats.cores else 0] for b, i in made)]
@@ -205,8 +201,7 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
 
 
 def moduli(stiffness: NDArray) -> dict[str, float]:
-    """Young's moduli and shear moduli, Pa, of a stiffness (6,6) Pa: in the plane (from the mean compliance of x and y) and across
-    it."""
+    """Young's and shear moduli, Pa, of a stiffness (6,6) Pa: in the plane (from the mean compliance of x and y) and across it."""
     least = 1e-12 * abs(stiffness).max() * np.eye(6)  # where all is loose
     S = np.linalg.inv(stiffness + least).diagonal().tolist()
     return {

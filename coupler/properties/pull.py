@@ -1,5 +1,4 @@
-"""Tensile test of a block of a coating: its strength across the coating, at the substrate and in the plane, with the bonds that the
-impacts have left.
+"""Tensile test of a block of a coating: its strength across, at the substrate and in the plane, with the bonds of the impacts.
 
 Two opposite faces move apart without friction; all other faces are free. The bodies are those of the run, elastic-plastic with the
 strain and temperature of each element, at the rates of a tensile test; bonds soften and break by their law (`contact.bond`); surfaces
@@ -89,13 +88,10 @@ def strengths(
         )
     laws = np.concatenate([law_record(metal, plan.effects.switches, RATE_TIME) for metal in metals])
     low, high, _ = corners(splats, side, heights)
-    found = []
+    of_splats = splats.mesh.cells[splats.impact[splats.body] > 0]
+    lowest, found = float(splats.mesh.points[of_splats, 2].min()) - 2.0 * splats.element_size, []
     for direction in directions:
         first = 0 if direction == "adhesion" else 1  # body of the block
-        lowest = (
-            float(splats.mesh.points[splats.mesh.cells[splats.impact[splats.body] > 0], 2].min())
-            - 2.0 * splats.element_size
-        )
         sample = cut(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
@@ -223,8 +219,7 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
 
 
 def write_pulls(folder: Path, pulls: list[Pull], about: str) -> None:
-    """Write the files NAMES: stress and energies of each pull against strain, their curves, and the joints at the end, for the
-    central film. Raises StoreError."""
+    """Write NAMES: stress and energies of pulls against strain, curves, joints at the end of the central film. Raises StoreError."""
     rows = [{"direction": p.direction, "film": p.film, **row} for p in pulls for row in p.rows]
     write_rows(folder / NAMES[0], list(rows[0]), rows, about)
     figure = blank(5.0, 3.5, 160, "constrained")

@@ -30,8 +30,7 @@ NAMES = ("strip.csv", "strip.inp")
 
 @dataclass(frozen=True)
 class Strip:
-    """A section of a coated strip, in slices from the bottom to the top. The first `below` slices are the strip, each other slice is
-    a layer of the coating.
+    """A section of a coated strip in slices, from the bottom. The first `below` slices are the strip, each other is a layer.
 
     height (k,) m; modulus (k,) Pa: E, of metal and pores; nu (k,); arriving (k,) Pa: stress in the plane with which a layer arrives;
     expansion (k,): strain of the slice, if it is free, in the last change of temperature.
@@ -77,16 +76,14 @@ class Strip:
         return own + change, bend
 
     def residual(self) -> tuple[NDArray, NDArray, float]:
-        """Stress (k,) Pa in the middles of the slices after deposition and cooling; the stress of the strip while it is held flat;
-        and the curvature, 1/m."""
+        """Stress (k,) Pa in the middles of slices after deposition and cooling; that of the strip held flat; and the curvature, 1/m."""
         (deposited, first), (cooled, second) = self.deposited(), self.misfit()
         M, z = self.modulus / (1.0 - self.nu), self.middle
         neutral = (M * self.height @ z) / (M @ self.height)
         return deposited + cooled, deposited + cooled - M * (first + second) * (z - neutral), first + second
 
     def values(self, length: float) -> dict[str, float]:
-        """Thicknesses, mean stress with which layers arrive, curvatures, and the height of the arc over a length (m), as an Almen gauge
-        measures it; SI."""
+        """Thicknesses, mean stress of arriving layers, curvatures, height of the arc over a length (m), as of an Almen gauge; SI."""
         layers = float(self.height[self.below :].sum())
         first, second = self.deposited()[1], self.misfit()[1]
         return {

@@ -23,9 +23,8 @@ MIN_TETS = 40  # approximate smallest number of elements of a fragment: its elem
 def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
-    method: "carried" uses the carried surface, "density" the density of the points; "auto" uses the carried surface if there is
-    one, and the density if there is none or it cannot be filled. Raises SplatError for a cloud that cannot be meshed, or if every
-    strategy fails.
+    method: "carried" uses the carried surface, "density" the density of the points; "auto" uses the carried surface if there is one,
+    and the density if there is none or it cannot be filled. Raises SplatError if the cloud cannot be meshed.
     """
     if method not in METHODS:
         raise SplatError(f"unknown method {method!r}: choose one of {', '.join(METHODS)}")
@@ -58,8 +57,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
 
 
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The separate bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError if there are
-    none."""
+    """The separate bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError for none."""
     pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
     count, part = connected_parts(pairs, len(cloud.x))
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
@@ -145,8 +143,6 @@ def _total(reports: list[Report], sorting: float) -> Report:
             seconds[stage] = seconds.get(stage, 0.0) + spent
     failed = [reason for report in reports for reason in report["failed"]]
     sums = {key: sum(report[key] for report in reports) for key in ("tets", "nodes", "volume_m3")}
-    smallest: list[str] = [
-        key for key in ("gamma_min", "dihedral_min_deg", "step_length_min_m", "dt_s") if key in reports[0]
-    ]
-    worst = {key: min(report[key] for report in reports) for key in smallest}
+    least = "gamma_min", "dihedral_min_deg", "step_length_min_m", "dt_s"
+    worst = {key: min(report[key] for report in reports) for key in least if key in reports[0]}
     return {**reports[0], "bodies": len(reports), "failed": failed, "seconds": seconds, **sums, **worst}

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..core.arrays import Floats, Ints
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import compact
 from .cloud import MIN_POINTS, Cloud
@@ -17,14 +18,10 @@ from .transfer import Fit
 LEVELS = 12  # of the bisection: the volume changes by whole tetrahedra
 
 
-def parts_of(
-    cloud: Cloud, points: np.ndarray, tets: np.ndarray
-) -> Iterator[tuple[bool, np.ndarray, np.ndarray, np.ndarray]]:
-    """Shell and core of a mesh of a cloud: whether it is the core, its points (p,) of the cloud, its nodes (n,3) m and tetrahedra
-    (m,4).
+def parts_of(cloud: Cloud, points: Floats, tets: Ints) -> Iterator[tuple[bool, Ints, Floats, Ints]]:
+    """Shell and core of a mesh of a cloud: whether it is the core, its points (p,) of the cloud, nodes (n,3) m, tetrahedra (m,4).
 
-    A body without a core, or with fewer than MIN_POINTS points or no tetrahedra of the core or the shell, is one part: its most
-    frequent material.
+    A body without a core, or with fewer than MIN_POINTS points or no tetrahedra of one, is one part: its most frequent material.
     """
     everyone = np.arange(len(cloud.x))
     if cloud.core is None or min(cloud.core.sum(), (~cloud.core).sum()) < MIN_POINTS:
@@ -68,8 +65,6 @@ def _closed(tets: np.ndarray, core: np.ndarray) -> np.ndarray:
 
 def _double_edges(tets: np.ndarray) -> np.ndarray:
     """The edges (k,2) of the surface of tetrahedra (m,4) that belong to more than two triangles."""
-    faces = boundary_faces(tets)[0]
-    edges, count = np.unique(
-        np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
-    )
+    ends = np.sort(boundary_faces(tets)[0][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(ends, axis=0, return_counts=True)
     return edges[count > 2]

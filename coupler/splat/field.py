@@ -1,5 +1,4 @@
-"""Volume fraction of metal on a grid, from the carried surface or from the points of a body, and the level whose surface encloses the
-volume of the body.
+"""Volume fraction of metal on a grid, from the carried surface or the points of a body, and the level that encloses its volume.
 
 Both sources give a smooth field that is 1 in the metal and 0 outside. Its level set is a closed surface without self-intersections.
 Features that the smoothing does not resolve are lost: lips thinner than about 1.3 sigma, folds, overlaps.
@@ -36,8 +35,7 @@ class Field:
 
 
 def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[np.ndarray, tuple[int, int, int]]:
-    """Centre of the first cell (3,) m, and numbers of cells, of a grid over the box from low to high (3,) m with a margin (m)
-    around it."""
+    """Centre of the first cell (3,) m, and numbers of cells, of a grid over the box from low to high (3,) m with a margin (m)."""
     # these fractions keep planes and axes of symmetric bodies away from the cell centres
     first = low - margin - np.array([0.377, 0.219, 0.441]) * h
     counts = np.ceil((high + margin - first) / h).astype(int) + 1
@@ -104,8 +102,7 @@ def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
 
 
 def level_of(field: Field, volume: float) -> float:
-    """The level whose surface encloses a given volume (m3). It is limited to 0.15 to 0.85: outside this range it depends on the tails
-    of the smoothing."""
+    """The level whose surface encloses a volume (m3), from 0.15 to 0.85: outside this range it depends on tails of the smoothing."""
     near = (field.values > 0.01) & (field.values < 0.99)
     values, slope = field.values[near], steepness(field)[near]
     target = volume / field.h**3 - int(np.sum(field.values >= 0.99))

@@ -54,11 +54,8 @@ class Strategy:
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
     """The strategies of a method (`convert.METHODS`), in the order of attempts."""
     sources = [method] if method != "auto" else ["carried", "density"] if has_surface else ["density"]
-    return [
-        Strategy(source, mesher, factor, sigma)
-        for source in sources
-        for factor, sigma, mesher in ((1.0, 0.15, "HXT"), (1.0, 0.25, "HXT"), (0.8, 0.2, "HXT"), (1.0, 0.4, "Delaunay"))
-    ]
+    ways = ("HXT", 1.0, 0.15), ("HXT", 1.0, 0.25), ("HXT", 0.8, 0.2), ("Delaunay", 1.0, 0.4)
+    return [Strategy(source, *way) for source in sources for way in ways]
 
 
 @dataclass(frozen=True)
@@ -76,8 +73,7 @@ class Shape:
 
 @dataclass
 class CloudShape:
-    """The points of one body, points of other bodies (k,3) m, and the last shape found with its key, which the next strategy can
-    reuse."""
+    """The points of one body, points of other bodies (k,3) m, and the last shape with its key, for the next strategy."""
 
     cloud: Cloud
     others: np.ndarray
@@ -86,8 +82,7 @@ class CloudShape:
     def find(self, source: str, size: float, least_sigma: float) -> Shape:
         """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size (m): size of the elements.
 
-        Handles are holes in thin lips, which a mesh of this size cannot resolve. Raises SplatError if the carried surface does not
-        fit the points.
+        Handles are holes in thin lips, which a mesh of this size cannot resolve. Raises SplatError if surface and points differ.
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:

@@ -30,9 +30,8 @@ class Fit:
         near = cKDTree(x).query(y, k=min(NEIGHBOURS, len(x)))[1]
         self.near = np.ascontiguousarray(near, np.int64)
         self.phi = np.empty(self.near.shape)
-        least_squares_weights(
-            np.ascontiguousarray(y), np.ascontiguousarray(x), self.near, (RIDGE * spacing) ** 2, self.phi
-        )
+        y, x = np.ascontiguousarray(y), np.ascontiguousarray(x)
+        least_squares_weights(y, x, self.near, (RIDGE * spacing) ** 2, self.phi)
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Fitted values (m,) or (m,k) at y, from values (n,) or (n,k) at x."""
@@ -45,8 +44,7 @@ class Fit:
 
 
 def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Velocities v + a + omega x r (n,3) that have the linear momentum P (3,) kg m/s and the angular momentum L (3,) kg m2/s about
-    the origin."""
+    """Velocities v + a + omega x r (n,3) with linear momentum P (3,) kg m/s and angular momentum L (3,) kg m2/s about the origin."""
     return v + rigid(x, mass, P - mass @ v, L - mass @ np.cross(x, v))
 
 
@@ -59,8 +57,7 @@ def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.n
 
 
 def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) -> np.ndarray:
-    """Velocities (n,3) with the same momenta and with the kinetic energy `kinetic`, J. Only their non-rigid part is scaled, by at
-    most MAX_SCALING."""
+    """Velocities (n,3) with the same momenta and the energy `kinetic`, J: the non-rigid part is scaled, at most by MAX_SCALING."""
     whole = rigid(x, mass, mass @ v, mass @ np.cross(x, v))
     own = v - whole
     moving, rest = (0.5 * float(mass @ np.einsum("ij,ij->i", w, w)) for w in (own, whole))
@@ -93,8 +90,7 @@ def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[s
     """Fields of `cloud.Body` on a mesh of points (n,3) m and tets (m,4), from the fields of the cloud; and their relative errors.
 
     The errors are those of sums over the mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy. Keys
-    that end in `_raw` have the error before the correction. stress_square: error of the volume integral of sigma : sigma, which is
-    not corrected.
+    that end in `_raw` have the error before the correction. stress_square: of the uncorrected volume integral of sigma : sigma.
     """
     volume = volumes(points, tets)  # m3
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
@@ -145,6 +141,5 @@ def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[s
 
 def _square(stress: np.ndarray) -> np.ndarray:
     """The double contraction sigma : sigma (n,) of Voigt tensors (n,6)."""
-    return np.einsum("ij,ij->i", stress[:, :3], stress[:, :3]) + 2.0 * np.einsum(
-        "ij,ij->i", stress[:, 3:], stress[:, 3:]
-    )
+    normal, shear = (np.einsum("ij,ij->i", part, part) for part in (stress[:, :3], stress[:, 3:]))
+    return normal + 2.0 * shear

@@ -31,8 +31,7 @@ FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 @dataclass(frozen=True)
 class BodiesState:
-    """State of substrate and splats, with the bonds and the contact between them. placed (n,3) m, body (m,), impact, buried (b,): as
-    in `Bodies`."""
+    """State of substrate and splats with their bonds and contact. placed (n,3) m, body (m,), impact, buried (b,): as in `Bodies`."""
 
     mesh: TetMesh
     target: TargetState
@@ -48,9 +47,8 @@ class BodiesState:
 @dataclass
 class Bodies:
     """Substrate (body 0) and splats. target: their common domain; body (m,): body of each element; fixed, absorbing: names of facet
-    sets; bond, contact: between bodies, None while there is only the substrate; buried: covered facets, which no other body can
-    touch; placed (n,3) m: positions in which the contact was set up; impact (bodies,): number of the impact that made each body, from
-    1; 0 for the substrate."""
+    sets; bond, contact: between bodies, None while there is only the substrate; buried: covered facets, which no other body can touch;
+    placed (n,3) m: positions in which the contact was set up; impact (bodies,): impact that made each body, from 1; 0: substrate."""
 
     target: Target
     body: np.ndarray
@@ -98,9 +96,8 @@ class Bodies:
         The sides are included: otherwise a point that slides over the rim would lie behind the top, which would pull it back.
         """
         sets = self.target.mesh.sets
-        ids = np.concatenate(
-            [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith(SPLAT))]
-        )
+        splats = [sets[name] for name in sorted(sets) if name.startswith(SPLAT)]
+        ids = np.concatenate([sets["top"], sets["sides"], *splats])
         return np.setdiff1d(occurring(ids, len(self.target.mesh.facets)), self.buried, assume_unique=True)
 
     # ---- in the loop ---------------------------------------------------------------------------------------------
@@ -302,9 +299,8 @@ class Bodies:
         surfaces, x = self.surfaces, self.target.nodes.x
         for body in embedded:
             near = neighbours(*surfaces.boxes(x), body, reach)
-            under = (
-                np.unique(surfaces.body[interface(surfaces, x, body, reach, near).facet]) if near else np.zeros(0, int)
-            )
+            facet = interface(surfaces, x, body, reach, near).facet if near else np.zeros(0, int)
+            under = np.unique(surfaces.body[facet])
             pairs = np.concatenate([pairs, [np.full(len(under), body), under]], axis=1)
         part = connected_parts(pairs.T, self.count)[1]
         return np.asarray(part == part[0])
@@ -335,8 +331,7 @@ class Bodies:
         return new
 
     def _around(self, gone: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mask (bodies,) of the bodies that can cover a facet within `reach` m of the bodies `gone` (g,), and the buried facets
-        there."""
+        """Mask (bodies,) of the bodies that can cover a facet within `reach` m of bodies `gone` (g,), and the buried facets there."""
         low, high = self.surfaces.boxes(self.target.nodes.x)
         is_near, facets = np.zeros(self.count, bool), [self.buried[:0]]
         for body in gone:
@@ -380,14 +375,11 @@ def _check(state: BodiesState) -> None:
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 
 
-def _bonded(
-    contact_pairs: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
-) -> np.ndarray:
-    """Mask (n,) of the nodes of an interface that bond by the criterion of the scene. Of the strains and pressures on both sides, the
-    larger values count."""
-    strain = np.maximum(*contact_pairs.behind(surfaces, target.elements.eps_p))
-    pressure = np.maximum(*contact_pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
-    return adhesion.bonded(len(contact_pairs.nodes), strain, pressure, ratio)
+def _bonded(pairs: Interface, surfaces: Surfaces, target: Target, law: Adhesion, ratio: float | None) -> np.ndarray:
+    """Mask (n,) of the nodes of an interface that meet the criterion of the scene. Of both sides the larger values count."""
+    strain = np.maximum(*pairs.behind(surfaces, target.elements.eps_p))
+    pressure = np.maximum(*pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
+    return law.bonded(len(pairs.nodes), strain, pressure, ratio)
 
 
 def _taken_over(
@@ -407,8 +399,7 @@ def _covered(
     """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`). A facet is in full contact if all
     its nodes and all nodes of its neighbours are in contact.
 
-    Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet and
-    get a false penetration.
+    Facets at the rim stay in the contact search: near the edge of a removed patch a point could get a wrong facet and a false depth.
     """
     covered = []
     for side, others in ((body, None), *((b, (body,)) for b in near)):

@@ -1,9 +1,8 @@
 """Sub-domains of the target: an impact is computed on the part of the bodies around its point of impact, which is then put back.
 
-A sub-domain contains the elements with a node within a radius of the point of impact, whole splats, and a rim around them. The
-window of the impact (`fe.window`) has the same radius: nodes at its edge and in the rim do not move, so that the impact has the
-same numbers as in the full domain. Nothing outside the radius changes. Sub-domains whose spheres are more than an element apart are
-independent.
+A sub-domain contains the elements with a node within a radius of the point of impact, whole splats, and a rim around them. The window
+of the impact (`fe.window`) has the same radius: nodes at its edge and in the rim do not move, so that the impact has the same numbers
+as in the full domain. Nothing outside the radius changes. Sub-domains more than an element apart are independent.
 """
 
 from collections.abc import Sequence

@@ -72,9 +72,8 @@ def domain_of(body: BodyState, name: str) -> Domain:
     deviator = stress.copy()
     deviator[:, :3] -= stress[:, :3].mean(axis=1)[:, None]
     J, energy = now / share, body.energy[node]
-    nodes = new_rows(
-        NodeState, n, x=mesh.points.copy(), v=body.velocity[node], J=J, energy=energy, p=pressures(law, J, energy)
-    )
+    p = pressures(law, J, energy)
+    nodes = new_rows(NodeState, n, x=mesh.points.copy(), v=body.velocity[node], J=J, energy=energy, p=p)
     metal = MetalState(**{name: values[element] for name, values in carried(body).items()})
     sigma_y = yield_stresses(law, np.zeros(m, np.int32), metal.eps_p, metal.T, metal.eps_gradient)
     elements = new_rows(ElementState, m, s=deviator, volume=V.copy(), sigma_y=sigma_y, **carried(metal))
@@ -86,8 +85,7 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
     order of nodes and elements does not change. Bodies and laws follow in the order of the domains.
 
     shell (m): thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and numbers in a shell
-    follow a space-filling curve: neighbours in space are neighbours in memory. Returns the domain, and the new number (n,) of each
-    node in the order of `domains`.
+    follow a space-filling curve: neighbours in space are neighbours in memory. Returns also the new number (n,) of each node.
     """
     nodes = np.cumsum([0, *(len(d.mesh.points) for d in domains)])
     elements = np.cumsum([0, *(len(d.mesh.conn) for d in domains)])
@@ -138,8 +136,7 @@ def new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
-    """The present state of a target as a domain. It shares the arrays of the target, so that it must be used before the next step.
-    body (m,): body of each element."""
+    """The present state of a target as a domain, with the same arrays: use it before the next step. body (m,): of each element."""
     return Domain(target.mesh, target.nodes, target.elements, body, target.laws)
 
 
@@ -158,8 +155,7 @@ class Selection:
 def select(domain: Domain, chosen: np.ndarray) -> Selection:
     """The part of a domain with the elements of the mask `chosen` (m,).
 
-    Nodes keep their volumes, including shares of elements outside. Names of the facet sets "splat1" and so on follow the new
-    numbers of the bodies.
+    Nodes keep their volumes, including shares of elements outside. Facet sets "splat1" and so on have the new numbers of the bodies.
     """
     mesh, body = domain.mesh, domain.body
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])

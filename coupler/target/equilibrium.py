@@ -1,12 +1,11 @@
 """Equilibrium of the bodies between impacts, by dynamic relaxation with its own masses and damping.
 
-With real masses a few crushed elements would limit the time step. Here each element gets the mass with which its time step equals
-that of all others: the number of steps does not depend on element sizes. A coarse grid moves whole regions at once (`fe.coarse`):
-the number of steps does not depend on the number of elements across the bodies. The damping is critical for the lowest frequency in
+With real masses a few crushed elements would limit the time step. Here each element gets the mass with which its time step equals that
+of all others: the number of steps does not depend on element sizes. A coarse grid moves whole regions at once (`fe.coarse`): the
+number of steps does not depend on the number of elements across the bodies. The damping is critical for the lowest frequency in
 motion, which a Rayleigh quotient of forces and velocities gives in each step (Underwood 1983, in Belytschko & Hughes, Computational
 methods for transient analysis, section 5.5). For a higher accuracy (`Aim`) it is later limited to that of the slowest motion: thin
-rims of splats are slower than any motion of the grid. Stresses, plastic flow, bonds, contact and friction are computed as in the
-explicit solver.
+rims of splats are slower than any motion of the grid. Stresses, flow, bonds, contact and friction are those of the explicit solver.
 """
 
 from dataclasses import dataclass
@@ -37,8 +36,7 @@ RELEASE_TIME = 5e-9  # s after joining in which the released kinetic energy is m
 
 class Aim(NamedTuple):
     """Required accuracy of an equilibrium. left: largest remaining energy divided by the kinetic energy of the impacts before; ramp:
-    number of steps in which pending heat becomes pressure, as in slow cooling; quick: number of steps before the damping is limited
-    to SLOW_DAMPING."""
+    steps in which pending heat becomes pressure, as in slow cooling; quick: steps before the damping is limited to SLOW_DAMPING."""
 
     left: float
     ramp: int
@@ -103,8 +101,7 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which here is an energy in J. known, back: see
-    `settle`."""
+    """Make steps of dynamic relaxation until the remaining energy is below aim.left, here in J. known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
     heat = t.elements.heat[:m].copy()

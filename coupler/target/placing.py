@@ -24,8 +24,7 @@ LOST_VOLUME = 0.05  # largest relative change of a splat's volume after the corr
 
 
 def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -> BodyState:
-    """A splat whose nodes near the bodies of a target are moved onto the facets of these bodies, but only as far as the quality of
-    its tetrahedra allows.
+    """A splat whose nodes near the bodies of a target are moved onto their facets, as far as the quality of its tetrahedra allows.
 
     body (m,): body of each element of the target; size (m): size of the splat's elements. Raises SolverError if the splat has no
     elements, or its volume cannot be kept.
@@ -106,8 +105,7 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
 
 
 def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The nodes of a splat after they are moved from `points` towards `wanted` (n,3) m, each as far as the quality of its tetrahedra
-    allows."""
+    """The nodes of a splat, moved from `points` towards `wanted` (n,3) m, each as far as the quality of its tetrahedra allows."""
     least = LEAST_QUALITY * volumes(splat.points, splat.tets)
     share = np.ones(len(wanted))
     for _ in range(8):
