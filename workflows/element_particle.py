@@ -5,8 +5,7 @@
 
 The particle is one more body of the target: tetrahedra of the same kind, the contact kernels of the splats. Material, effects,
 substrate mesh, friction, rule of the contact stiffness, end criterion and measures are those of the run by points. Rows of the same
-size share the mesh of the substrate: its edges and those of the particle's tetrahedra are `size`, the points have a spacing of
-size / 1.7.
+size share the mesh of the substrate: edges of both bodies are `size`, the points have a spacing of size / 1.7.
 """
 
 import itertools

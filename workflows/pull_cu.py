@@ -1,7 +1,6 @@
 """Splats of copper that are pulled off their ground, over velocity and temperature: python workflows/pull_cu.py
 
-The scene is pull_cu.toml. Each impact is a row of docs/tables/pull_cu.csv that is not computed again; --docs runs nothing and writes
-figure and table of the page.
+The scene is pull_cu.toml. Each impact is a row of docs/tables/pull_cu.csv that is not computed again; --docs only writes the page.
 """
 
 from collections.abc import Sequence

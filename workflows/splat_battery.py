@@ -3,8 +3,7 @@
     python workflows/splat_battery.py [--only PART]    # docs/tables/splats.csv, the figure and the page
     python workflows/splat_battery.py --docs           # converts nothing but the clouds of the figure
 
-Rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion, with gmsh's
-process; kernels are loaded before.
+Rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion, with gmsh.
 """
 
 from collections.abc import Sequence
