@@ -79,8 +79,7 @@ def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
     """The state of the last complete checkpoint, a record of class `kind`; None if there is no checkpoint. A damaged checkpoint is
-    skipped, with a line to log(text). Raises CheckpointError if a checkpoint belongs to another version or scene (a key of `about`
-    differs), or if all are damaged."""
+    skipped, with a line to log(text). Raises CheckpointError if a key of `about` differs, or all are damaged."""
     damaged = []
     for _, path in reversed(stored(directory)):
         try:

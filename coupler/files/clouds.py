@@ -41,8 +41,7 @@ class Points:
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
     """The points of a file. known: names of fields to read from an .npz file; columns: names of the columns of a text file, where "-"
-    leaves a column out. Raises InputError, also if the file holds a surface; StoreError if there is not enough memory for the
-    file."""
+    leaves a column out. Raises InputError, also for a surface; StoreError if memory is too small."""
     size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
         most = f"{LARGEST_FILE // 1024**3} GiB, which is the largest size that can be read"

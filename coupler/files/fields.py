@@ -1,5 +1,4 @@
-"""Read the fields of one domain at one time from a VTKHDF file. A damaged or malicious file cannot make the reader open another file
-or fill the memory."""
+"""Read the fields of a domain at one time from a VTKHDF file. A damaged or malicious one cannot open another file or fill memory."""
 
 import math
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ _COLUMNS = {kind: columns for columns, kind in CELL_TYPES.items()}
 DEFLATE_LIMIT = 1100  # greatest compression ratio of gzip: a file that states more data is damaged
 FARTHEST = 1e3  # m from the origin: farther points count as damage
 H = TypeVar("H", h5py.Group, h5py.Dataset)
+Data = dict[str, NDArray]  # by name
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ class Root:
     path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """Rows of a numeric data set, from `start`, `count` of them; by default all. kinds: allowed kinds of dtype. Raises ValueError
-        if the data set is not valid."""
+        """Rows of a numeric data set, from `start`, `count` or all. kinds: allowed kinds of dtype. Raises ValueError."""
         *folders, last = name.split("/")
         group = self.group
         for folder in folders:
@@ -114,15 +113,12 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
-    """One stored step of a file. times: times of all its steps. If a name occurs at points and in cells, the values at points are
-    returned."""
+    """One stored step of a file. times: of all its steps. Of a name at points and in cells, the values at points."""
     points, cells, point_data, cell_data = read_arrays(root, step)
     return Fields(float(times[step]), points, cells, cell_data | point_data)
 
 
-def read_arrays(
-    root: Root, step: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], dict[str, NDArray], dict[str, NDArray]]:
+def read_arrays(root: Root, step: int) -> tuple[NDArray[np.float64], NDArray[np.int64], Data, Data]:
     """Points, cells, data at points and data in cells of one step, as in `Fields`. Raises ValueError for a damaged file."""
     part = root.number("Steps/PartOffsets", step)
     point_count, cell_count = root.number("NumberOfPoints", part), root.number("NumberOfCells", part)

@@ -138,8 +138,7 @@ def toml_of(text: str, path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """Additional text for an error of a TOML file (`problem`): the line with the error, and a hint if quotes are missing; "" if the
-    error names no line."""
+    """More text for an error of a TOML file (`problem`): its line, and a hint if quotes are missing; "" if the error names no line."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""
@@ -234,8 +233,7 @@ def require_memory(needed: float, purpose: str) -> None:
 @contextmanager
 def bounded_memory() -> Iterator[None]:
     """Context in which an allocation beyond the free memory raises MemoryError, so that the system does not kill processes. It sets the
-    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises StoreError if the limits of the process are too small
-    for the libraries."""
+    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises StoreError if limits are too small."""
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = _field(_STATUS, "VmData") + _field(_STATUS, "VmStk")

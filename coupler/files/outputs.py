@@ -25,8 +25,7 @@ _ENDS = 8192  # bytes at both ends of a file that are searched for MARK
 
 def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
     """Check, before its computation, that a command may write a file. Returns the path. suffixes: allowed endings, in lower case;
-    inputs: files and run folders that the command reads, which are never replaced; force: replace a file that this program did not
-    write. Raises StoreError."""
+    inputs: files and run folders that the command reads, which are never replaced; force: replace a foreign file. Raises StoreError."""
     if path.suffix.lower() not in suffixes:
         raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}; use {' or '.join(suffixes)}")
     if not path.parent.exists():
@@ -138,8 +137,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None:
-    """Write the TOML text from which a folder is computed. but: keys that may change. Raises StoreError if the folder holds another
-    `what`: the file has other data."""
+    """Write the TOML text from which a folder is computed. but: keys that may change. Raises StoreError if it holds another `what`."""
     free = dict.fromkeys(but)
     if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
         raise StoreError(f"{path.parent} holds another {what}: choose another folder with --out, or remove this one")

@@ -75,8 +75,7 @@ class Result:
 
     @property
     def at_own_end(self) -> bool:
-        """Whether the run met its end criterion but has no verdict on its last particle. Such a run continues only if a later end
-        time is given."""
+        """Whether the run met its end criterion without a verdict on its last particle. It continues only with a later end time."""
         return self.finished and self.undecided is None and not self.has_verdict
 
     @property
@@ -86,8 +85,7 @@ class Result:
 
     @property
     def summary(self) -> Summary:
-        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. Raises StoreError if the file is damaged
-        or has another format."""
+        """Contents of summary.json (docs/guide/files.md); empty before the end of the run. Raises StoreError if damaged."""
         if not self._summary and self.finished:
             self._summary = read_summary(self.directory / "summary.json")
         return self._summary

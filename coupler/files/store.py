@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated, TextIO
 
 import numpy as np
@@ -32,8 +31,7 @@ SUMMARY, PICTURE = "summary.json", "section.png"
 
 @dataclass(frozen=True)
 class StoreState:
-    """Amount of data that a run has written. steps: number of stored steps of each domain; columns, history (rows, columns): contents
-    of history.csv."""
+    """Data that a run has written. steps: number of stored steps of each domain; columns, history (rows, columns): of history.csv."""
 
     steps: dict[str, int]
     columns: list[str]
@@ -180,8 +178,7 @@ class Store:
             file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write summary.json, with the number of rows of the history, completely or not at all. Numbers that are not finite become
-        null."""
+        """Write summary.json with the number of rows of the history, completely or not at all. Infinite numbers and NaN become null."""
         rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
         plain = to_json({**summary, **rows}, inf_nan_mode="null", fallback=lambda value: value.tolist())
         with _named(self.directory / SUMMARY):
@@ -204,9 +201,7 @@ class Store:
     def __enter__(self) -> "Store":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -242,8 +237,7 @@ def lock_folder(directory: Path, wait: bool = False) -> int | None:
 
 @contextlib.contextmanager
 def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
-    """Context manager that turns an error during writing into a StoreError with the path. is_folder: the path is the folder of a new
-    run."""
+    """Context that turns an error of writing into a StoreError with the path. is_folder: it is the folder of a new run."""
     try:
         yield
     except (OSError, RuntimeError) as error:

@@ -51,9 +51,8 @@ def read_surface(path: Path) -> Surface:
 
 
 def _stl(raw: bytes) -> Surface:
-    """Points and triangles of an STL file. A file that contains facets as text is a text STL. Any other file is binary: 84 bytes, the
-    last four of which are the number of triangles, then 50 bytes for each triangle. Both kinds can begin with "solid". Bytes after
-    the triangles are ignored."""
+    """Points and triangles of an STL file. A file that contains facets as text is a text STL. Others are binary: 84 bytes, the last
+    four for the number of triangles, then 50 bytes each; the rest is ignored. Both can begin with "solid"."""
     lines = raw.replace(b"\r", b"\n")
     if (facets := len(_FACET.findall(lines))) > 0:
         corners = np.array([[float(word) for word in words] for words in _VERTEX.findall(lines)]).reshape(-1, 3)
@@ -94,8 +93,7 @@ def _obj(raw: bytes) -> Surface:
 
 
 def _ply(raw: bytes) -> Surface:
-    """Points and polygons of a text or binary PLY file: its elements "vertex" and "face" (Turk 1994, The PLY Polygon File Format).
-    Other elements are ignored."""
+    """Points and polygons of a text or binary PLY file: only elements "vertex" and "face" (Turk 1994, The PLY Polygon File Format)."""
     head = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\r|\n)", raw)
     if not raw.startswith(b"ply") or head is None:
         raise ValueError("its header is missing or not terminated")
@@ -168,8 +166,7 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
 
 
 def _cut(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
-    """Triangles that fill a plane polygon of points x (n,3), which may be concave. Triangles are cut off one by one at convex corners
-    ("ears"; Meisters 1975)."""
+    """Triangles that fill a plane polygon of points x (n,3), also a concave one: cut off at convex corners ("ears"; Meisters 1975)."""
     triangles: list[list[int]] = []
     while len(polygon) > 3:
         ring = x[polygon] - x[polygon[0]]

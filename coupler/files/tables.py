@@ -16,6 +16,7 @@ _UNIT = re.compile(r"[\[(]([^][()]*)[])]$")
 _COMMENT = ("#", "%", "!", "//")
 _LONGEST = 100_000  # characters of a line
 _COUNTED = 10  # least number of rows for which a first column 1, 2, 3 ... counts as row number
+Columns = dict[int, NDArray[np.float64]]  # numbers of each numeric column by its index
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,8 @@ def read_any_text(path: Path, limit: int) -> str:
 
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
-    """Read the table in a text. names: names of the columns in their order, where "-" leaves a column out; default: the names above
-    the numbers. axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line of
-    the error."""
+    """Read the table in a text. names: names of the columns in their order, where "-" leaves a column out; default: the names above the
+    numbers. axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -77,8 +77,7 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
 
 
 def _separator(line: str) -> str:
-    """Separator of the columns in a line: a tab, a semicolon, a comma, or blanks (""). If blanks separate the words, commas are
-    decimal."""
+    """Separator of the columns in a line: tab, semicolon, comma, or blanks (""). If blanks separate the words, commas are decimal."""
     for separator in "\t;":
         if separator in line:
             return separator
@@ -105,9 +104,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _values(
-    rows: list[list[str]], lines: list[int], separator: str
-) -> tuple[dict[int, NDArray[np.float64]], list[str]]:
+def _values(rows: list[list[str]], lines: list[int], separator: str) -> tuple[Columns, list[str]]:
     """The numbers of each numeric column by its index, and remarks. lines: line number of each row."""
     of_numbers = [k for k, word in enumerate(rows[0]) if _is_number(word)]
     words = [[row[k] for row in rows] for k in of_numbers]
@@ -128,8 +125,7 @@ def _values(
 
 
 def _titles(line: str, separator: str, count: int) -> list[str] | None:
-    """Column names from a line above the numbers; None if the line is not a heading. A comment line is a heading only if it names x,
-    y and z."""
+    """Column names from a line above the numbers; None if it is no heading. A comment is a heading only if it names x, y and z."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
@@ -140,7 +136,7 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
     return None
 
 
-def _unnamed(columns: dict[int, NDArray[np.float64]], axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
     """Numbers by axis, for columns without names. If there are more columns than axes, a remark says which are used."""
     places = list(columns)
     values = columns[places[0]]

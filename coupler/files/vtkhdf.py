@@ -243,9 +243,8 @@ class VtkHdfWriter:
 
 
 def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
-    """Copy the first `steps` steps of the file `path` into the file `new`. Returns the writer of the new file. Raises StoreError if
-    the file is damaged, UnreadableError without permission, IndexError if the file has fewer steps, and the OSErrors of the
-    writer."""
+    """Copy the first `steps` steps of the file `path` into the file `new`. Returns the writer of the new file. Raises StoreError if the
+    file is damaged, UnreadableError without permission, IndexError if it has fewer steps, OSError of the writer."""
     with opened(path) as old:
         times = times_of(old)
     if len(times) < steps:

@@ -1,5 +1,4 @@
-"""Output for people: pictures of the cross-section, tables, an HTML report, animations, comparisons. It reads results and imports no
-solver.
+"""Output for people: pictures of the cross-section, tables, an HTML report, animations, comparisons. It imports no solver.
 
 Matplotlib is imported only for the first picture, because its import takes as long as the computation of a coarse impact.
 """

@@ -54,8 +54,7 @@ def animate(
 
 
 def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
-    """The pictures (rows, columns, 3) of the animation. They have one size, with even numbers of rows and columns, as a video file
-    requires."""
+    """The pictures (rows, columns, 3) of the animation, of one size, with even numbers of rows and columns, as a video requires."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]

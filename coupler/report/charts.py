@@ -50,11 +50,8 @@ def energy(history: History) -> Figure | None:
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
     history, starts = _apart(history)
-    terms = [
-        (np.sum([history[name] for name in names if name in history], axis=0), words, colour)
-        for names, words, colour in LEDGER
-        if any(name in history for name in names)
-    ]
+    known = [([history[n] for n in names if n in history], words, colour) for names, words, colour in LEDGER]
+    terms = [(np.sum(columns, axis=0), words, colour) for columns, words, colour in known if columns]
     total = np.sum([term for term, _, _ in terms], axis=0)
     first = np.clip(np.searchsorted(starts, np.arange(len(total)), side="right") - 1, 0, None)
     kinetic_0 = (total / (1 + history["drift"]))[starts][first]
@@ -73,8 +70,7 @@ def energy(history: History) -> Figure | None:
 
 
 def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
-    """The history with two rows of NaN between impacts, so that no curve connects two impacts. Returns also the index of the first
-    row of each impact."""
+    """The history with two rows of NaN between impacts, which no curve connects; and the index of the first row of each impact."""
     time = history["time"]
     firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
     apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
@@ -86,12 +82,12 @@ def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
 def over_time(history: History, name: str) -> Figure | None:
     """A figure of CURVES against time; None if the history lacks the columns."""
     label, factor, columns = CURVES[name]
-    history = _apart(history)[0] if len(history.get("time", ())) else history
-    traces = [
-        trace(history["time"] * 1e9, history[column] * factor, words, color=LINES[k], dash=DASHES[k])
-        for k, (column, words) in enumerate(columns.items())
-        if len(history.get(column, ())) and "time" in history
-    ]
+    if not len(history.get("time", ())):
+        return None
+    history, traces = _apart(history)[0], list[Trace]()
+    for (column, words), colour, dash in zip(columns.items(), LINES, DASHES, strict=False):
+        if column in history:
+            traces.append(trace(history["time"] * 1e9, history[column] * factor, words, color=colour, dash=dash))
     return _of_time(traces, label, 280) if traces else None
 
 
@@ -117,8 +113,7 @@ def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
 def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
-    """A field along the axis at several times; the depth increases downwards. None if the field is missing. span: smallest and
-    largest depth to show, um."""
+    """A field along the axis at several times, depth downwards; None without the field. span: least and greatest depth to show, um."""
     traces = []
     for time, colour in shades(profile.time for profile in profiles).items():
         own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]

@@ -15,8 +15,7 @@ NEAR = 12  # points over which a value inside the particle is averaged
 @dataclass(frozen=True)
 class Field:
     """A field in pictures. label, unit: as displayed; factor: from SI to this unit; colours: colour map of matplotlib; floor: least
-    possible value, None if there is none; least_range: smallest range of the colour scale, in this unit, because a smaller range
-    would show only noise."""
+    possible value, None if there is none; least_range: of the colour scale, in this unit: a smaller one shows noise."""
 
     label: str
     unit: str
@@ -57,8 +56,7 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:
-    """The values (n, ...) of a field at the points. Values in tetrahedra are averaged over the tetrahedra around a point, weighted by
-    volume."""
+    """The values (n, ...) of a field at the points. Of values in tetrahedra the mean around a point, weighted by volume."""
     values = fields.data[name].astype(float)
     if len(values) == len(fields.points):
         return values

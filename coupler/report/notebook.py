@@ -24,14 +24,13 @@ def html(result: Result) -> str:
 
 
 def _measures(result: Result) -> str:
-    text = screen(result) if result.finished else f"{title(result)}\n{_reached(result)}"
+    if result.finished:
+        text = screen(result)
+    else:
+        times, resume = result.times(), f"coldspray resume {result.directory.name}"
+        reached = f"{len(times)} steps are stored, until {times.max(initial=0.0) * 1e9:.1f} ns"
+        text = f"{title(result)}\nnot finished: {reached}; if it was stopped, {resume} continues it"
     return f'<pre style="white-space: pre-wrap">{escape(text)}</pre>'
-
-
-def _reached(result: Result) -> str:
-    times = result.times()
-    reached = f"not finished: {len(times)} steps are stored, until {times.max(initial=0.0) * 1e9:.1f} ns"
-    return f"{reached}; if it was stopped, coldspray resume {result.directory.name} continues it"
 
 
 def _section(result: Result) -> str:

@@ -54,9 +54,7 @@ class Page:
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
         """The text of the HTML file."""
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
-        text = {
-            kind: (files(__package__) / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
-        }
+        text = {kind: (files(__package__) / f"page.{kind}").read_text("utf-8") for kind in ("html", "css", "js")}
         nav = "".join(f'<a href="#{name}">{escape(word)}</a>' for name, word, _ in self.sections)
         each = (f'<section id="{name}"><h2>{escape(word)}</h2>\n{body}</section>' for name, word, body in self.sections)
         return Template(text["html"]).substitute(
@@ -195,8 +193,7 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
 
 
 def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
-    """Pictures of the cross-section: one row for each time, one picture for each field. named: time (s) by label, for the
-    captions."""
+    """Pictures of the cross-section: a row for each time, a picture for each field. named: time (s) by label, for captions."""
     pictures = []
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"

@@ -50,8 +50,7 @@ def table(
 
 
 def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "", heads: Sequence[str] = ()) -> str:
-    """A row of a table. kinds: CSS class of each cell, "" for none; kind: class of the row; heads: headings of the columns, for
-    stacked cells."""
+    """A row of a table. kinds: CSS class of each cell or ""; kind: class of the row; heads: headings of columns, for stacked cells."""
 
     def of(name: str, attribute: str = "class") -> str:
         return f' {attribute}="{escape(name)}"' if name else ""
@@ -69,9 +68,8 @@ def front(summary: Summary) -> str:
     (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
     more = f"{count - len(rows)} more in the section Impacts" if 1 < count > len(rows) else ""
     note = escape("; ".join(text for text in (more, words.of_run(summary), words.error_note(summary)) if text))
-    return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
-        f'<p class="caption">{note}</p>' if note else ""
-    )
+    below = f'<p class="caption">{note}</p>' if note else ""
+    return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + below
 
 
 def so_far(history: Mapping[str, NDArray]) -> str:
@@ -108,8 +106,7 @@ def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) 
 
 
 def each_impact(summary: Summary) -> str:
-    """All impacts of a run with several. Up to SIDE_BY_SIDE impacts are columns with all measures; if there are more, each impact is
-    a row with the main measures."""
+    """All impacts of a run with several: up to SIDE_BY_SIDE as columns with all measures, more as rows with the main ones."""
     entries = impacts(summary)
     if len(entries) > SIDE_BY_SIDE:
         head, *rows = brief(summary)
@@ -135,8 +132,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 
 def properties(result: Result) -> str:
-    """The effective properties of the coating, from the file of `coldspray properties` in the folder of the run; "" if there is no
-    such file. Raises StoreError."""
+    """The effective properties of the coating, from the file of `coldspray properties`; "" without it. Raises StoreError."""
     path = result.directory / "properties" / "properties.json"
     if not path.is_file():
         return ""

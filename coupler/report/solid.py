@@ -55,12 +55,11 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
         skin, _ = boundary_faces(target.cells)
         loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
         rim, _ = surfaces_cut(target, at)
-        meshes = {
-            "target": _target(target.points * MICRO, skin, nodal, box),
-            "target cut": _target_cut(target, nodal, at, box),
-        }
+        meshes = {"target": _target(target.points * MICRO, skin, nodal, box)}
+        meshes["target cut"] = _target_cut(target, nodal, at, box)
         meshes["particle"] = _particle(particle.points, cloud, surface, kept)
-        shown.append({**meshes, "particle cut": _particle_cut(particle.points, cloud, loops, at)})
+        meshes["particle cut"] = _particle_cut(particle.points, cloud, loops, at)
+        shown.append(meshes)
         lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(rim[_reaches_into(rim, box)]))
         times.append(round(particle.time * 1e9, 3))
     every = {name: np.concatenate([mesh[2][name] for meshes in shown for mesh in meshes.values()]) for name in ranges}
@@ -102,8 +101,7 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
 
 
 def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
-    """Lower and upper corner (2, 3) of the view, um. It contains the particle at all times, up to the height `top`, and the target
-    near the particle."""
+    """Lower and upper corner (2, 3) of the view, um: the particle at all times, up to the height `top`, and the target near it."""
     skins = [below for skin in skins if len(below := skin[skin[:, 2] < top])]
     low, high = (np.array([end(skin, axis=0) for skin in skins]) for end in (np.min, np.max))
     plane, D = at.plane * MICRO, at.diameter
@@ -194,11 +192,8 @@ def _frame(
         of = {name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()}
         # in a box three times as large, because triangles that overlap the view extend beyond it
         places = _packed((points - box[0] + span) / (3 * span) * TOP)
-        frame[kind] = {
-            "triangles": triangles.setdefault(_packed(corners), len(triangles)),
-            "points": places,
-            "values": of,
-        }
+        number = triangles.setdefault(_packed(corners), len(triangles))
+        frame[kind] = {"triangles": number, "points": places, "values": of}
     return frame
 
 

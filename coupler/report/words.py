@@ -49,8 +49,7 @@ class Line:
 
 
 def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = None) -> dict[str, list[Line]]:
-    """The measures of several blocks in one table: the lines of each group of measures. errors: errors of the measures in the last
-    block (`errors_of`)."""
+    """The measures of several blocks in one table: the lines of each group. errors: of the measures in the last block (`errors_of`)."""
     groups: dict[str, list[Line]] = {group: [] for group in GROUPS}
     for key in dict.fromkeys(key for block in blocks for key in block):
         record, last = measure(key), (errors or {}).get(key)
@@ -61,8 +60,7 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """The values of each column by its heading: the last impact at its greatest deformation; its end, with all other values of impact
-    and run (`plain`)."""
+    """The values of each column by its heading: the last impact at its greatest deformation; at its end, with all others."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
@@ -74,9 +72,7 @@ def plain(values: Block) -> Block:
     velocity of a particle that sticks."""
     hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
     first = {k: next(iter(value), {}) if isinstance(value, list) else value for k, value in values.items()}
-    return {
-        key: values[key] for key, item in first.items() if key not in hidden and not isinstance(item, Mapping | list)
-    }
+    return {k: values[k] for k, item in first.items() if k not in hidden and not isinstance(item, Mapping | list)}
 
 
 def shown(key: str, value: object, error: float | None = None) -> str:
@@ -95,9 +91,8 @@ def shown(key: str, value: object, error: float | None = None) -> str:
 
 def with_error(value: float, error: float) -> str:
     """Value and error as text, rounded to two significant digits of the error."""
-    if not (
-        error > 1e-9 * abs(value) and math.isfinite(error) and math.isfinite(value)
-    ):  # rounding errors do not count
+    # rounding errors do not count
+    if not (error > 1e-9 * abs(value) and math.isfinite(error) and math.isfinite(value)):
         return f"{value:.4g}"
     digits = min(max(1 - math.floor(math.log10(error)), 0), 12)
     return f"{value:.{digits}f} ± {error:.{digits}f}"
@@ -169,8 +164,7 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
 
 
 def _bonded(record: Block) -> str:
-    """Text: the bonded area of an impact with computed bonds, as in "; bonded area 120 µm², 98.7 µm² at the end"; "" if bonds are not
-    computed."""
+    """Text: the bonded area of an impact, as in "; bonded area 120 µm², 98.7 µm² at the end"; "" if bonds are not computed."""
     first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
     if not isinstance(first, int | float):
         return ""
@@ -222,8 +216,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
 
 
 def alerts(summary: Summary) -> list[str]:
-    """The warning that makes the whole result doubtful: numerical dissipation above DISSIPATION_LIMIT. Only the first warning of the
-    run is returned."""
+    """The warning that makes the whole result doubtful, the first of the run: numerical dissipation above DISSIPATION_LIMIT."""
     warnings = summary["run"].get("warnings") if summary else None
     shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
     doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)
@@ -231,8 +224,7 @@ def alerts(summary: Summary) -> list[str]:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """Text lines: each measure without a value with the reason, and the meaning of unusual values. Equal lines of several impacts are
-    merged into one."""
+    """Text lines: measures without a value with the reason, and the meaning of unusual values; equal lines of impacts are merged."""
     records = summary.get("impacts", [])
     lines: dict[str, list[int]] = {}  # text -> impacts
     for number, impact in enumerate(records, 1):
@@ -293,8 +285,7 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Text: sizes, metals, velocities and angles of all particles, and the metals of the target from the top. If the plan cannot be
-    read: the name of the folder."""
+    """Text: sizes, metals, velocities, angles of particles, metals of the target from the top; without a plan: the folder."""
     try:
         plan, velocities, angles = result.plan, [], []
         groups: dict[str, list[float]] = {}
@@ -349,11 +340,8 @@ def brief(summary: Summary, most: int | None = None, with_errors: bool = False) 
 def of_run(summary: Summary) -> str:
     """Text line: the main measures of a whole run with several impacts; "" for a single impact."""
     whole = plain(summary["run"]) if len(summary["impacts"]) > 1 else {}
-    return ", ".join(
-        f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip()
-        for key in KEYS
-        if whole.get(key) is not None
-    )
+    known = [(measure(key), shown(key, whole[key])) for key in KEYS if whole.get(key) is not None]
+    return ", ".join(f"{m.label} {value} {m.unit}".strip() for m, value in known)
 
 
 def fill_table(table: Table, groups: Mapping[str, Iterable[Line]]) -> None:
