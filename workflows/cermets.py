@@ -14,7 +14,7 @@ from pages import EVIDENCE, computed, impact_tables, markdown, options, scene_fi
 from study_table import Row, column, study
 
 from coupler import Result, Scene
-from coupler.measures import EMBEDDED, STICKS
+from coupler.measures import EMBEDDED, STICKS, UNDECIDED
 from coupler.report.picture import stage
 from coupler.studies import coating, coating_files
 
@@ -24,7 +24,7 @@ COATINGS = {  # scene, powder: heading
 }  # fmt: skip
 PICTURES = "cermet_cu"  # scene whose coatings the page shows
 LINES = {  # column: label, factor, digits
-    "ceramics": ("particles of ceramic", 1.0, 0), "ceramics_stay": ("of these stay", 1.0, 0),
+    "ceramics": ("particles of ceramic", 1.0, 0), "ceramics_stay": ("of these stay", 1.0, 0), "undecided": ("undecided", 1.0, 0),
     "fed_share": ("ceramic in the mass fed, %", 100.0, 1), "deposited_share": ("in the mass deposited, %", 100.0, 1),
     "thickness_um": ("thickness, µm", 1.0, 1), "Sa_um": ("roughness Sa, µm", 1.0, 1), "porosity": ("porosity, %", 100.0, 1),
     "strain": ("plastic strain, mean", 1.0, 2), "impacts_MPa": ("stress of the impacts, MPa", 1.0, 0),
@@ -64,6 +64,7 @@ def measured(result: Result) -> dict[str, object]:
     volume = sum(layer["volume_m3"] for layer in layers)
     return {
         "ceramics": len(hard), "ceramics_stay": sum(impact["verdict"] in (STICKS, EMBEDDED) for impact in hard),
+        "undecided": sum(impact["verdict"] == UNDECIDED for impact in hard),
         **{name: shares[name] for name in ("fed_share", "deposited_share")},
         "thickness_um": measures.thickness_mean_m * 1e6, "Sa_um": measures.Sa_m * 1e6,
         "porosity": measures.porosity_open + measures.porosity_closed,

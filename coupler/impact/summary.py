@@ -52,11 +52,12 @@ def summarise(
     undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
     mass, upwards = float(particle.mass.sum()), -impact.sinking
+    speed = float(np.linalg.norm(particle.totals.momentum)) / mass
     ground, sunk = recorder.plan.target.materials[-1], None
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     law, impact_plan = recorder.plan.adhesion, recorder.impact_plan
-    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk)
+    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk, speed)
     own |= _computed(impact, recorder)
     own |= {"wall_s": wall, "wall_loop_s": looped, "idle_share": particle.idle(looped), "undecided": undecided}
     end: Values = {**measured}

@@ -23,7 +23,7 @@ from ..measures import (
 from ..physics.adhesion import Adhesion
 from ..plan.planning import ImpactPlan
 
-REBOUND = 1.0  # m/s: smallest velocity off the surface of a particle that leaves
+REBOUND = 1.0  # m/s: smallest velocity off the surface of a particle that leaves; a slower one without contact rests
 # of the energy that bonds have dissipated: a smaller margin is within the scatter due to the placement of points and elements, whose
 # standard deviation is at most 0.2 of this energy (docs/evidence/bonding.md)
 SCATTER = 0.5
@@ -54,15 +54,16 @@ class Verdict:
 
 def judge(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_held: bool = False,
-    sunk: float | None = None,
+    sunk: float | None = None, speed: float = 0.0,
 ) -> Verdict:  # fmt: skip
     """The verdict on a particle at the end of its impact. mass (kg); upwards (m/s): velocity of its centre normal to the surface;
     bonds: bonds of the particle, None if nothing bonded; is_held: whether the particle is still in contact, for a ceramic;
-    sunk (m): depth of its centre in a polymer, None on a metal."""
+    sunk (m): depth of its centre in a polymer, None on a metal; speed (m/s): of its centre, in any direction."""
     if not impact.can_bond:
-        if impact.material.is_ceramic and (is_held or upwards <= REBOUND):
+        if impact.material.is_ceramic and (is_held or max(upwards, speed) <= REBOUND):
             return Verdict(EMBEDDED, "it stays in its crater without a bond", BY_MOTION, rebounded=False)
-        return _unheld("no metallic bond forms with a ceramic", BY_MOTION, mass, upwards)
+        moving = f"; without contact it moves at {speed:.3g} m/s" if speed > REBOUND >= upwards and not is_held else ""
+        return _unheld(f"no metallic bond forms with a ceramic{moving}", BY_MOTION, mass, upwards)
     if law.in_impact:
         decided = _by_bonds(mass, upwards, bonds)
         scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
@@ -158,19 +159,19 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 def verdict_values(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False,
-    is_held: bool = False, broken: str = "", sunk: float | None = None,
+    is_held: bool = False, broken: str = "", sunk: float | None = None, speed: float = 0.0,
 ) -> Values:  # fmt: skip
     """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held, sunk: as in `judge`; broken: why a
-    ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s:
-    velocity of the centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target
-    after the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held, sunk, speed: as in `judge`; broken:
+    why a ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s:
+    velocity of the centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after
+    the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was
     computed; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of
     it that still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
-    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held, sunk)
+    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held, sunk, speed)
     if broken:
         decided = Verdict(BROKEN, broken, BY_STRESS, rebounded=True)
     left, is_whole = decided.rebounded, decided.verdict != BROKEN

@@ -37,6 +37,17 @@ def test_a_ceramic_is_embedded_or_rebounds_by_its_motion() -> None:
         assert not is_tied(law, CERAMIC)
 
 
+def test_a_ceramic_that_moves_without_contact_is_not_embedded() -> None:
+    """Such as one that slides down the flank of a splat: it can still land, so that its mass counts as lost or as deposited."""
+    law = Adhesion("tied")
+    found = verdict_values(law, CERAMIC, MASS, -3.0, None, speed=17.0)
+    assert (found["verdict"], found["rebounded"], found["restitution"]) == ("undecided", None, None)
+    assert "without contact it moves at 17 m/s" in found["verdict_rests_on"]
+    assert efficiency_range([found]) == (0.0, 1.0)
+    assert judge(law, CERAMIC, MASS, -3.0, None, is_held=True, speed=17.0).verdict == "embedded"
+    assert judge(law, CERAMIC, MASS, 30.0, None, speed=35.0).verdict == "rebounds"
+
+
 def test_a_broken_particle_is_lost_and_has_no_rebound() -> None:
     found = verdict_values(Adhesion("tied"), CERAMIC, MASS, 30.0, None, broken="tensile stress")
     assert (found["verdict"], found["verdict_by"], found["rebounded"]) == ("broken", "stress", True)
