@@ -13,7 +13,6 @@ from .arguments import Commands, add_command, add_force, path, quantity, working
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..files.result import Result
     from ..splat.cloud import Cloud, Splat
 
 METHODS = ("auto", "carried", "density")
@@ -75,7 +74,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     import numpy as np
 
     from ..core.records import rows_of
-    from ..files.result import Result
+    from ..files.result import Result, impact_at
     from ..physics.metal import MetalState
     from ..physics.shapes import sphere_volume
     from ..plan.record import read_plan
@@ -86,7 +85,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         fields = result.fields(step)
     except IndexError as problem:
         raise SplatError(f"--step {step}: {problem}") from None
-    impact = read_plan(folder).impacts[_impact_at(result, fields.time)]
+    impact = read_plan(folder).impacts[impact_at(result, fields.time) - 1]
     spacing = spacing or (sphere_volume(impact.diameter) / len(fields.points)) ** (1.0 / 3.0)
     times = result.times("surface")
     skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
@@ -99,19 +98,11 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
         fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
-        stress=data["stress"][:, _SWAP] if "stress" in data else None, surface=surface, wave_speed=impact.material.wave_speed,
+        stress=data["stress"][:, _SWAP] if "stress" in data else None, surface=surface, wave_speed=impact.wave_speed,
+        core=data["core"] > 0.5 if "core" in data else None,
         **{name: data[name] for name in rows_of(MetalState) if name in data},
     )  # fmt: skip
     return cloud, notes
-
-
-def _impact_at(result: "Result", time: float) -> int:
-    """Index (from 0) of the impact whose particle is stored at a time (s)."""
-    if not (result.directory / "history.csv").is_file():
-        return 0
-    history = result.history()
-    row = int(history["time"].searchsorted(time * (1.0 - 1e-9)))
-    return int(history["impact"][: row + 1][-1]) - 1
 
 
 def of_file(
@@ -145,6 +136,8 @@ def of_file(
             fields[known] = in_si
     if "stress" in fields:
         fields["stress"] = fields["stress"][:, _SWAP]
+    if "core" in fields:
+        fields["core"] = fields["core"] > 0.5
     volume = fields.pop("volume", None)
     if spacing is None:
         spacing = estimated_spacing(x) if volume is None else float(np.cbrt(np.median(volume)))
@@ -218,8 +211,8 @@ def estimated_spacing(x: "np.ndarray") -> float:
 
 
 def write(path: Path, splat: "Splat") -> None:
-    """Write all bodies of a splat with their fields to one file; the cell field `body` is the number of the body. Raises
-    SplatError."""
+    """Write all bodies of a splat with their fields to one file. Cell fields: `body` is the number of the body; `core` is 1 in the core
+    of a composite particle, as in target.vtkhdf. Raises SplatError."""
     import meshio
     import numpy as np
 
@@ -230,8 +223,10 @@ def write(path: Path, splat: "Splat") -> None:
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])
     tets = np.concatenate([body.tets + at for body, at in zip(splat.bodies, offsets, strict=False)])
-    numbers = np.arange(len(splat.bodies))
-    cells: dict[str, np.ndarray] = {"body": np.repeat(numbers, [len(body.tets) for body in splat.bodies])}
+    each, is_core = [len(body.tets) for body in splat.bodies], [body.is_core for body in splat.bodies]
+    cells: dict[str, np.ndarray] = {"body": np.repeat(np.arange(len(each)), each)}
+    if any(is_core):
+        cells["core"] = np.repeat(np.array(is_core, float), each)
     nodes: dict[str, np.ndarray] = {}
     gmsh = path.suffix.lower() == ".msh"
     for into, names in ((cells, ("stress", *rows_of(MetalState), "J")), (nodes, ("velocity", "energy"))):
@@ -258,11 +253,14 @@ def _show(cloud: "Cloud", splat: "Splat", notes: list[str]) -> None:
     from rich.table import Table
 
     r, t = splat.report, splat.report["transfer"]
+    cores = sum(body.is_core for body in splat.bodies)
     table = Table(title="from points to tetrahedra", title_justify="left", show_header=False)
     rows = {
         "points": f"{len(cloud.x)}, {cloud.spacing * 1e6:.3g} um apart",
         "method": r["method"],
-        "bodies": f"{len(splat.bodies)}" + (f", and {r['lost_points']} points lost" if r["lost_points"] else ""),
+        "bodies": f"{len(splat.bodies)}"
+        + (f", {cores} of these cores" if cores else "")
+        + (f", and {r['lost_points']} points lost" if r["lost_points"] else ""),
         "tetrahedra": f"{r['tets']}, {r['nodes']} nodes, element size {r['element_size_m'] * 1e6:.3g} um",
         "quality": f"gamma {r['gamma_min']:.2f} least, {r['gamma_mean']:.2f} mean; least dihedral angle"
         f" {r['dihedral_min_deg']:.0f} deg",

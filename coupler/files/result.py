@@ -244,3 +244,12 @@ def first_step(result: Result, number: int) -> int:
     impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
     before = times[impacts == number - 1].max()
     return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)
+
+
+def impact_at(result: Result, time: float) -> int:
+    """Number (from 1) of the impact whose particle is stored at a time (s)."""
+    if not (result.directory / HISTORY).is_file():
+        return 1
+    history = result.history()
+    row = int(history["time"].searchsorted(time * (1.0 - 1e-9)))
+    return int(history["impact"][: row + 1][-1])

@@ -11,6 +11,7 @@ from coupler.commands import mesh as mesh_command
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.files.store import Store
+from coupler.geometry.tetrahedra import volumes
 from coupler.particle import packing
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
@@ -55,6 +56,27 @@ def test_a_run_becomes_a_mesh_with_its_fields(tmp_path: Path, capsys: pytest.Cap
     assert notes == []
     assert main(["mesh", str(tmp_path / "run"), "--step", "7"]) == 2
     assert "there is no step 7" in capsys.readouterr().err
+
+
+def test_a_composite_particle_becomes_bodies_of_shell_and_core(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From a run or a file: the cell field `core` has the volume fraction of its points."""
+    points, _ = packing.sphere(D, 1000)
+    n, core = len(points), (np.linalg.norm(points, axis=1) < 0.37 * D).astype(float)
+    scene = SCENE.replace("velocity", 'core = { material = "Al2O3", share = 0.2 }\nvelocity')
+    with Store.create(tmp_path / "run", scene, plan_json=plan_text(plan(Scene.from_text(scene)))) as store:
+        store.write("particle", 0.0, points, np.arange(n)[:, None], {"core": core})
+    rows = (f"{x},{y},{z},{i}" for (x, y, z), i in zip(points * 1e6, core, strict=True))
+    (tmp_path / "points.csv").write_text("\n".join(["x [um],y [um],z [um],core", *rows]) + "\n")
+    for source in (tmp_path / "run", tmp_path / "points.csv"):
+        assert main(["mesh", str(source), "--out", str(tmp_path / "mesh.vtu"), "--force"]) == 0
+        assert "2, 1 of these cores" in " ".join(capsys.readouterr().out.split())
+        mesh = meshio.read(tmp_path / "mesh.vtu")
+        size = volumes(mesh.points, mesh.cells_dict["tetra"])
+        share = size[mesh.cell_data["core"][0] == 1.0].sum() / size.sum()
+        assert share == pytest.approx(core.mean(), abs=0.02)
+        assert mesh.cell_data["core"][0] == pytest.approx(mesh.cell_data["body"][0])
 
 
 def test_points_in_micrometres_become_a_gmsh_file(ball, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
