@@ -103,14 +103,14 @@ def report(
         page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
         stage("drawing the cross-sections")
-        main = {name: ranges[name] for name in names if name in ("T", "eps_p")}
+        main = picture.with_phases(cuts[-1], {name: ranges[name] for name in names if name in ("T", "eps_p")})
         lower, caption = replace(cuts[-1], view=(*seen[:3], picture.view(result, picked[-1:], at)[3])), {}
-        page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
+        page.section("cuts", "Cuts", _cuts(cuts, picture.with_phases(cuts[0], ranges), _named_times(summary)))
         if len(result.times(COLD)):
             section, colours = picture.cut_cold(result, at, lower.view)
             caption = {"after the closing stage, at ambient temperature": section.time}
             page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
-            lower, main = section, {name: colours[name] for name in ("eps_p", "in_plane")}
+            lower, main = section, picture.with_phases(section, {name: colours[name] for name in ("eps_p", "in_plane")})
             page.section("properties", "Properties", parts.properties(result))
         front = _cuts([lower], main, caption) + front
         stage("drawing the profiles")
@@ -198,7 +198,8 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
     for section in cuts:
         time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
-        panels = ((picture.embedded(_panel(section, name, ends)), FIELDS[name].label) for name, ends in ranges.items())
+        labels = {picture.PHASE: "phases", **{name: field.label for name, field in FIELDS.items()}}
+        panels = ((picture.embedded(_panel(section, name, ends)), labels[name]) for name, ends in ranges.items())
         images = "".join(f'<img src="{image}" alt="cut at {time}: {label}">' for image, label in panels)
         caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')
@@ -206,7 +207,7 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
 
 
 def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
-    """A cross-section coloured by one field, with the colour bar below it."""
+    """A cross-section coloured by one field, with the colour bar or the legend below it."""
     left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches
     tall = wide * (top - bottom) / (right - left)
@@ -214,8 +215,11 @@ def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
     axis = picture.axes_at(figure, 0, bar, wide, tall)
     picture.draw(axis, section, name, ends)
     picture.scale_bar(axis, section.view, 10)
-    place = picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
-    picture.colour_bar(place, name, ends, wide - 0.5, across=True)
+    if name == picture.PHASE:
+        picture.name_phases(axis, section.phases, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    else:
+        place = picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
+        picture.colour_bar(place, name, ends, wide - 0.5, across=True)
     return figure
 
 

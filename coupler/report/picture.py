@@ -5,6 +5,7 @@ import io
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -15,9 +16,9 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from ..errors import StoreError
 from ..files.fields import Fields
 from ..files.outputs import MARK, replacing
-from ..files.result import COLD, DOMAINS, Result
+from ..files.result import COLD, DOMAINS, Result, impact_at
 from ..files.summary import Values
 from ..geometry.sections import crossing, section_loops, section_of_tets, section_of_triangles
 from ..geometry.tetrahedra import boundary_faces
@@ -43,6 +44,10 @@ PIXELS = 320  # along the longer side of the particle
 READABLE = 8.0  # points: least size of a font
 LETTER = 0.6  # greatest mean width of a letter over the size of its font
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
+PHASE = "phase"  # in place of a field: the materials in their colours
+#: Colours of materials at full brightness, red green blue; the first is that of a coating of one material.
+PHASES = np.array([[1.0, 1.0, 1.0], [1.05, 0.8, 0.55], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85], [0.65, 0.85, 1.08]])
+BRIGHT = 0.82  # mean brightness of materials in pictures
 
 View = tuple[float, float, float, float]  # left, right, bottom, top, um
 
@@ -56,10 +61,43 @@ class Range(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Phases:
+    """The materials of a run. names: those of the particles in the order of the impacts, then those of the substrate alone; the others
+    are indices of names. particles (n, 2): of shell and core of the particle of each impact; ground (k,): of the bodies of the
+    substrate."""
+
+    names: list[str]
+    particles: NDArray[np.int64]
+    ground: NDArray[np.int64]
+
+    def of(self, bodies: Fields) -> NDArray[np.int64]:
+        """Index (m,) of the material of each tetrahedron of target or splats."""
+        none = np.zeros(len(bodies.cells))
+        body, impact, core = (bodies.data.get(name, none).astype(np.int64) for name in ("body", "impact", "core"))
+        ground = self.ground[np.minimum(body, len(self.ground) - 1)]
+        return np.where(impact > 0, self.particles[impact - 1, core], ground)
+
+
+def phases_of(plan: Values) -> Phases | None:
+    """The materials of a run, from its plan; None if all its particles are of one material, or the plan cannot be read."""
+    try:
+        particles = [[each["material"]["name"], (each["core"] or each)["material"]["name"]] for each in plan["impacts"]]
+        substrate = [plan["target"]["material"], *(metal for metal, _ in reversed(plan["target"]["layers"]))]
+        ground = [metal["name"] for metal in substrate]
+    except (KeyError, TypeError, ValueError):
+        return None
+    names = list(dict.fromkeys([*chain(*particles), *ground]))
+    numbers = [[names.index(name) for name in pair] for pair in particles], [names.index(name) for name in ground]
+    several = len(set(chain(*particles))) > 1
+    return Phases(names, *map(np.array, numbers)) if several else None
+
+
+@dataclass(frozen=True)
 class Stage:
     """The plane and the reference values of all cross-sections of a run, from its first step. plane: y (m); level: height of the
     undeformed surface, um; diameter: diameter of the particle, um; void: if a place in the particle is farther than this from all
-    points, it counts as hollow, m. top: greatest height of the undeformed surface, um; ground: its lines in the plane, (k, 2) um."""
+    points, it counts as hollow, m. top: greatest height of the undeformed surface, um; ground: its lines in the plane, (k, 2) um;
+    phases: materials, None if the particles are of one."""
 
     plane: float
     level: float
@@ -67,6 +105,7 @@ class Stage:
     void: float
     top: float = 0.0
     ground: tuple[NDArray, ...] = ()
+    phases: Phases | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +115,7 @@ class Cut:
     time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
     (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
     substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels over `extent`, the
-    particle.
+    particle; phases: names of the materials, to whose indices PHASE gives values and pixels; empty if the particles are of one.
     """
 
     time: float
@@ -90,6 +129,7 @@ class Cut:
     extent: View
     values: dict[str, NDArray]
     images: dict[str, NDArray]
+    phases: Sequence[str] = ()
 
 
 def stored_steps(result: Result) -> int:
@@ -122,7 +162,9 @@ def stage(result: Result) -> Stage:
     ground = tuple(loops)
     under = [line[(line[:, 0] >= low) & (line[:, 0] <= high), 1].max(initial=-np.inf) for line in ground]
     level = max(under, default=-np.inf)
-    return Stage(plane, float(level) if np.isfinite(level) else top, float(high - low), void, top, ground)
+    return Stage(
+        plane, float(level) if np.isfinite(level) else top, float(high - low), void, top, ground, phases_of(result.plan)
+    )
 
 
 def _most_cut(plan: Values, first: float) -> float:
@@ -164,12 +206,16 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, 
     particle, surface, target = read(result, step, names)
     loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
     images, extent = _images(particle, names, loops, at, pixels)
+    if at.phases is not None:
+        shell, core = at.phases.particles[impact_at(result, particle.time) - 1]
+        image = images[names[0]]
+        images[PHASE] = np.where(np.isnan(image), np.nan, np.where(images.get("core", 0.0 * image) > 0.5, core, shell))
     return replace(cut_bodies(target, names, at, seen), loops=loops, images=images, extent=extent)
 
 
 def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
     """The cross-section of tetrahedra without a particle; arguments as in `cut`."""
-    polygons, _ = section_of_tets(target.points, target.cells, at.plane)
+    polygons, owner = section_of_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
     x, z = corners[..., 0], corners[..., 1]
@@ -180,9 +226,23 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
         ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
     rim, is_substrate = surfaces_cut(target, at)
-    nothing = {name: np.zeros((0, 0)) for name in names}
+    phases = at.phases.names if at.phases is not None else []
+    if at.phases is not None:
+        values[PHASE] = np.repeat(at.phases.of(target)[owner[inside], None], 4, axis=1)
+    nothing = {name: np.zeros((0, 0)) for name in values}
     return Cut(
-        target.time, at.level, at.ground, seen, [], corners, rim, is_substrate, (0.0, 1.0, 0.0, 1.0), values, nothing
+        target.time,
+        at.level,
+        at.ground,
+        seen,
+        [],
+        corners,
+        rim,
+        is_substrate,
+        (0.0, 1.0, 0.0, 1.0),
+        values,
+        nothing,
+        phases,
     )
 
 
@@ -205,14 +265,14 @@ def _of_splats(target: Fields) -> NDArray[np.bool_]:
 
 
 def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
-    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS. The scale of the in-plane stress is symmetric
-    about 0. Raises StoreError if the run has no closing stage."""
+    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS (`with_phases`). The scale of the in-plane stress
+    is symmetric about 0. Raises StoreError if the run has no closing stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
     section = cut_bodies(bodies, COLD_FIELDS, at, seen)
     ranges = {name: colour_range([section], name) for name in COLD_FIELDS}
     most = max(float(np.percentile(np.abs(section.values["in_plane"]), 98)), FIELDS["in_plane"].least_range)
-    return section, {**ranges, "in_plane": Range(-most, most, exceeded=True)}
+    return section, with_phases(section, {**ranges, "in_plane": Range(-most, most, exceeded=True)})
 
 
 def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fields, Fields]:
@@ -271,10 +331,37 @@ def colour_range(cuts: Sequence[Cut], name: str) -> Range:
     return Range(low, high, any(part.max() > 1.02 * high for part in parts))
 
 
+def with_phases(section: Cut, ranges: Mapping[str, Range]) -> dict[str, Range]:
+    """Colour scales of pictures of a cross-section: that of PHASE, if its particles are of several materials, and the given ones."""
+    return {**({PHASE: Range(-0.5, len(section.phases) - 0.5)} if section.phases else {}), **ranges}
+
+
+def colour_of(phase: int) -> tuple[float, float, float]:
+    """Colour of a material, by its index."""
+    red, green, blue = np.minimum(BRIGHT * PHASES[phase % len(PHASES)], 1.0).tolist()
+    return red, green, blue
+
+
+def name_phases(axis: Axes, names: Sequence[str], **options: Any) -> None:
+    """Draw the legend of materials, in the order of their colours. options: of `Axes.legend`."""
+    patches = [Patch(facecolor=colour_of(k)) for k in range(len(names))]
+    axis.legend(patches, names, fontsize=8, **options).set_zorder(8)
+
+
+def outline_of(loops: Sequence[NDArray]) -> Outline:
+    """The path round closed lines (k, 2). A closed path of matplotlib ignores its last corner: the first one comes again."""
+    return Outline.make_compound_path(*(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops))
+
+
 def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
-    """Draw a cross-section coloured by one field. name: key in FIELDS; ends: limits of its colour scale, in the displayed unit."""
+    """Draw a cross-section coloured by one field. name: key in FIELDS, or PHASE; ends: limits of its colour scale, in the displayed
+    unit."""
     left, right, bottom, top = section.view
-    colours, scale = FIELDS[name].colours, Normalize(ends.low, ends.high)
+    scale = Normalize(ends.low, ends.high)
+    if name == PHASE:
+        colours: str | Colormap = ListedColormap([colour_of(k) for k in range(len(section.phases))])
+    else:
+        colours = FIELDS[name].colours
     corners, values = section.corners, section.values[name]
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
     flat = corners.reshape(-1, 2)
@@ -291,10 +378,10 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     rim = LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
     axis.add_collection(rim)
     if section.loops:
-        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
-        outline = Outline.make_compound_path(*closed)
+        outline = outline_of(section.loops)
         image, extent = section.images[name], section.extent
-        inside: list[Artist] = [axis.imshow(image, extent=extent, origin="lower", cmap=colours, norm=scale, zorder=3)]
+        style = {"cmap": colours, "norm": scale, "interpolation": "nearest" if name == PHASE else None}
+        inside: list[Artist] = [axis.imshow(image, extent=extent, origin="lower", zorder=3, **style)]
         if (hollow := np.isnan(image)).any():
             inside.append(axis.contour(hollow, [0.5], extent=extent, colors="black", linewidths=1.0, zorder=4))
         if "core" in section.images and (core := section.images["core"]).max(where=~hollow, initial=0.0) > 0.5:
@@ -383,7 +470,10 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
     for row, (name, ends) in enumerate(ranges.items()):
         axis = axes_at(figure, margin, margin + (count - 1 - row) * (tall + gap), width, tall)
         draw(axis, section, name, ends)
-        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, 0.96 * tall)
+        if name == PHASE:
+            name_phases(axis, section.phases, loc="upper right")
+        else:
+            colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, 0.96 * tall)
     scale_bar(figure.axes[0], section.view)
     height = 1 - 0.27 / size[1]
     font = 13 * min(1.0, LONGEST_HEADING / max(len(heading), 1))
@@ -394,9 +484,9 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
 
 
 def section_picture(result: Result, path: str | Path | None = None, step: int = -1) -> Path:
-    """Draw the cross-section through the middle of particle and target, by temperature and by plastic strain. path: PNG file,
-    default `section.png` in the folder of the run. step: stored step, -1 is the last. Returns the path. Raises StoreError if data
-    are missing or the picture cannot be written."""
+    """Draw the cross-section through the middle of particle and target, by temperature and by plastic strain, and by material if the
+    particles are of several. path: PNG file, default `section.png` in the folder of the run. step: stored step, -1 is the last. Returns
+    the path. Raises StoreError if data are missing or the picture cannot be written."""
     path = Path(path) if path is not None else result.directory / "section.png"
     save(section_figure(result, step), path)
     return path
@@ -406,7 +496,7 @@ def section_figure(result: Result, step: int = -1) -> Figure:
     """The figure of `section_picture`. Raises StoreError if something to draw is missing."""
     at, names = stage(result), ("T", "eps_p")
     section = cut(result, step, names, at, view(result, [step], at))
-    return panels(section, {name: colour_range([section], name) for name in names}, title(result))
+    return panels(section, with_phases(section, {name: colour_range([section], name) for name in names}), title(result))
 
 
 def save(figure: Figure, path: Path) -> None:

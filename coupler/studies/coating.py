@@ -16,6 +16,7 @@ from ..files.result import COLD, Result, first_step
 from ..geometry.tetrahedra import volumes
 from ..measures import BROKEN, EMBEDDED, REBOUNDS, UNDECIDED
 from ..physics.shapes import sphere_volume
+from ..plan.model import ImpactPlan
 from ..plan.record import read_plan
 from ..report.words import with_error
 from .splats import Columns, Splats, roughness
@@ -64,7 +65,6 @@ def read(result: Result, before: int | None = None) -> Splats:
         raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
     impacts = plan.impacts[: len(left)]  # without a last one that is unfinished or undecided
     mass = np.array([p.rho * sphere_volume(p.diameter) for p in impacts])
-    metal = np.array([" on ".join(each.name for each in p.materials) for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
     stayed = 1.0 - np.array(left)
     if before is None and result.finished:
@@ -73,9 +73,18 @@ def read(result: Result, before: int | None = None) -> Splats:
     records = result.summary["impacts"][: len(left)] if before is None and result.finished else []
     undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
-    return Splats(mesh, body, impact, last, stayed, mass, metal, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size, is_cold, undecided, tuple(str(record["verdict"]) for record in records), cores,
-                  plan.target.heights)  # fmt: skip
+    verdicts, layers = tuple(str(record["verdict"]) for record in records), coating["layers"] if coating else 1
+    return Splats(mesh, body, impact, last, stayed, mass, tuple(map(_parts, impacts)), len(plan.impacts), layers, patch,
+                  plan.splat_element_size, is_cold, undecided, verdicts, cores, plan.target.heights)  # fmt: skip
+
+
+def _parts(particle: ImpactPlan) -> dict[str, float]:
+    """Mass fraction of each material of a particle, that of the shell first."""
+    shell, core = particle.material, particle.core
+    if core is None or core.material.name == shell.name:
+        return {shell.name: 1.0}
+    share = core.share * core.material.rho / particle.rho
+    return {shell.name: 1.0 - share, core.material.name: share}
 
 
 @dataclass(frozen=True)
@@ -99,15 +108,15 @@ class CoatingMeasures:
     """Measures of a coating in SI units. The names are the keys of coating.json.
 
     impacts, of: numbers of finished and of planned impacts. undecided: number of undecided particles, which count as stayed in
-    deposition_efficiency and as lost in least_efficiency. thickness: vertical height of the coating above the original surface
-    of the substrate; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with craters
-    above the original one, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the
-    volume of the coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing
+    deposition_efficiency and as lost in least_efficiency. thickness: vertical height of the coating above the original surface of the
+    substrate; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with craters above
+    the original one, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the volume
+    of the coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing
     elsewhere.
-    void_limit_m: voids of a lower height are not resolved. stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating
-    in the disc, with its standard error (`in_plane`); in a cold coating it is the residual stress. thermal_in_plane_Pa: the part of
-    this stress that changes of temperature cause. layers, depth, phases: rows of `per_layer`, `over_depth` and `phases`. seeds:
-    measure -> its error, if other seeds are computed (`coating_seeds`).
+    void_limit_m: voids of a lower height are not resolved. stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating in
+    the disc, with its standard error (`in_plane`); in a cold coating it is the residual stress. thermal_in_plane_Pa: the part of this
+    stress that changes of temperature cause. layers, depth, phases, materials: rows of the functions of these names (`per_layer`,
+    `over_depth`). seeds: measure -> its error, if other seeds are computed (`coating_seeds`).
     """
 
     impacts: int
@@ -135,6 +144,7 @@ class CoatingMeasures:
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
     phases: list[dict[str, float | str]]
+    materials: list[dict[str, float | str]]
     warnings: list[str]
     seeds: dict[str, SeedError]
 
@@ -156,7 +166,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=stress, stress_error_Pa=error, thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress")[0],
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
-        phases=phases(splats, radius),
+        phases=phases(splats, radius), materials=materials(splats, radius),
         warnings=([] if finished == planned else [unfinished]) + ([] if splats.is_cold else [NOT_COLD]), seeds={},
     )  # fmt: skip
 
@@ -246,24 +256,24 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
             + "".join(f", {row[fate]} {word}" for fate, word in FATES.items() if fate in row)
             for row in measures.phases
         ),
+        "materials": "; ".join(
+            f"{row['material']} {row['volume_share']:.1%} of the volume, {row['deposited_share']:.1%} of the mass deposited"
+            for row in measures.materials
+        ),
         "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the coated area",
         "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
     }
-    if len(measures.phases) < 2:
-        del texts["metals"]
-    return list(texts.items())
+    one_each = {row["metal"] for row in measures.phases} == {row["material"] for row in measures.materials}
+    shown = {"metals": len(measures.phases) > 1, "materials": not one_each}
+    return [(label, text) for label, text in texts.items() if shown.get(label, True)]
 
 
 def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
-    """Fractions of each metal: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m.
+    """Fractions of each powder: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m.
     efficiency: its mass in the coating divided by its fed mass. Of a ceramic also the numbers of particles with each of FATES. The last
     particle, which consists of points, has no volume here."""
-    mesh, stays = splats.mesh, splats.mass * splats.stayed
-    x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
-    own = (np.hypot(x, y) <= radius) & (splats.impact[splats.body] > 0)
-    volume = np.bincount(
-        splats.impact[splats.body[own]] - 1, np.abs(volumes(mesh.points, mesh.cells[own])), len(splats.mass)
-    )
+    stays, of_body = splats.mass * splats.stayed, _volumes(splats, radius)
+    volume = np.bincount(splats.impact, of_body, len(splats.mass) + 1)[1:]
     rows = list[dict[str, float | str]]()
     for name in dict.fromkeys(splats.metal):
         of = splats.metal == name
@@ -276,6 +286,29 @@ def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
         fates = {fate: verdicts.count(fate) for fate in FATES} if {EMBEDDED, BROKEN} & set(verdicts) else {}
         rows.append({"metal": str(name)} | {key: float(share) for key, share in shares.items()} | fates)
     return rows
+
+
+def materials(splats: Splats, radius: float) -> list[dict[str, float | str]]:
+    """Fractions of each material: of the mass in the coating, and of the volume of the coating in a disc of `radius` m. The materials
+    of shell and core of composite particles count separately."""
+    stays, volume = splats.mass * splats.stayed, _volumes(splats, radius)
+    of_body = np.array([splats.material(b, i) if i else "" for b, i in enumerate(splats.impact.tolist())])
+    return [
+        {
+            "material": name,
+            "deposited_share": float(stays @ [part.get(name, 0.0) for part in splats.parts] / stays.sum()),
+            "volume_share": float(volume[of_body == name].sum() / max(volume.sum(), 1e-300)),
+        }
+        for name in splats.materials
+    ]
+
+
+def _volumes(splats: Splats, radius: float) -> NDArray:
+    """Volume (m3) of each body of the coating within `radius` m of the axis, 0 of the substrate."""
+    mesh = splats.mesh
+    x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
+    own = (np.hypot(x, y) <= radius) & (splats.impact[splats.body] > 0)
+    return np.bincount(splats.body[own], np.abs(volumes(mesh.points, mesh.cells[own])), len(splats.impact))
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:

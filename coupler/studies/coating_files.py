@@ -9,8 +9,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 from matplotlib.colors import ListedColormap
-from matplotlib.patches import Patch, PathPatch
-from matplotlib.path import Path as Outline
+from matplotlib.patches import PathPatch
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -20,7 +19,23 @@ from ..files.result import COLD, Result
 from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
-from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
+from ..report.picture import (
+    MICRO,
+    PHASES,
+    Stage,
+    blank,
+    colour_range,
+    cut,
+    cut_cold,
+    name_phases,
+    outline_of,
+    panels,
+    phases_of,
+    read,
+    save,
+    scale_bar,
+    with_phases,
+)
 from .coating import CoatingMeasures, Growth
 from .splats import Splats
 from .table import write_rows
@@ -30,8 +45,6 @@ NAMES = (
     "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
 _DRAWN = ("eps_p", "T", "von_mises")
-#: Colours of metals in a micrograph, red green blue; the first is that of a coating of one metal, the last is similar to the outside.
-_PHASES = np.array([[1.0, 1.0, 1.0], [1.05, 0.8, 0.55], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85], [0.65, 0.85, 1.08]])
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
@@ -53,11 +66,12 @@ def write_growth(folder: Path, rows: list[Growth]) -> list[Path]:
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
     """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Returns the path. Colours of a cold coating:
-    strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Raises
-    StoreError if no step is stored."""
+    strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Of several
+    materials also these. Raises StoreError if no step is stored."""
     x = np.linspace(-radius, radius, 400)
     places = np.column_stack([x, np.full(len(x), plane)])
-    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=(np.column_stack([x, splats.ground(places)]) * MICRO,))
+    ground = (np.column_stack([x, splats.ground(places)]) * MICRO,)
+    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=phases_of(result.plan))
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
         return path
@@ -65,7 +79,8 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
     section_cut = cut(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
-    save(panels(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN}, heading), path)
+    ranges = with_phases(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN})
+    save(panels(section_cut, ranges, heading), path)
     return path
 
 
@@ -89,7 +104,7 @@ def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
     """Draw the cross-section at y = plane (m) like an etched section under a microscope, as PNG. Returns the path. Boundaries of
     splats are dark, the boundary of the substrate is thick, closed pores are black. Blue areas are open to the outside in this plane.
-    The metals of a blend have different colours. radius: distance from the axis up to which the picture reaches, m."""
+    The materials of a coating of several have different colours. radius: distance from the axis up to which the picture reaches, m."""
     seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
@@ -97,15 +112,16 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     x, z = (np.linspace(*ends, pixels) for ends, pixels in (((left, right), 1400), ((bottom, top), 600)))
     places = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
     metal = np.zeros(len(places), bool)
-    names = list(dict.fromkeys([*splats.metal, *splats.cores.values()]))
+    names = splats.materials
     for number, (came, points, faces) in enumerate(_skins(splats)):
         tone = 0.45 + 0.08 * (number % 2) if came == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours differ
-        name = splats.cores.get(number) or splats.metal[came - 1]
-        colour = np.full(3, tone) if came == 0 else tone * _PHASES[names.index(name) % len(_PHASES)]
+        phase = PHASES[names.index(splats.material(number, came)) % len(PHASES)] if came else np.ones(3)
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
-            outline = Outline.make_compound_path(*(Outline(loop, closed=True) for loop in loops))
-            axis.add_patch(PathPatch(outline, facecolor=tuple(colour), edgecolor="0.1", linewidth=0.8 if came else 2.0))
+            outline = outline_of(loops)
+            axis.add_patch(
+                PathPatch(outline, facecolor=tuple(tone * phase), edgecolor="0.1", linewidth=0.8 if came else 2.0)
+            )
             metal |= outline.contains_points(places)
     empty, _ = ndimage.label(~metal.reshape(len(z), len(x)))
     sky = (empty > 0) & np.isin(empty, empty[-1])
@@ -113,12 +129,7 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
     scale_bar(axis, seen)
     if len(names) > 1:
-        axis.legend(
-            [Patch(facecolor=tuple(0.82 * _PHASES[k % len(_PHASES)])) for k in range(len(names))],
-            names,
-            loc="upper right",
-            fontsize=8,
-        )
+        name_phases(axis, names, loc="upper right")
     save(figure, path)
     return path
 
@@ -150,15 +161,15 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     """Write the coating as meshes for homogenisation. Returns the paths. coating.vtu: mesh of substrate and splats with body, impact,
-    metal (0: substrate; then metals in the order of their first impacts) and fields of each tetrahedron; splats/splat_NNN.stl: closed
-    surface of the splat of impact NNN. Lengths in m. Raises StoreError."""
+    metal (0: substrate; then materials in the order of their first impacts) and fields of each tetrahedron; splats/splat_NNN.stl:
+    closed surface of the splat of impact NNN. Lengths in m. Raises StoreError."""
     inner = folder / "splats"
     cells = splats.mesh.cells
     data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}
     data |= {"body": [splats.body.astype(np.int32)], "impact": [splats.impact[splats.body].astype(np.int32)]}
-    names = list(dict.fromkeys(splats.metal))
-    of_impact = np.array([0, *(names.index(name) + 1 for name in splats.metal)])
-    data["metal"] = [of_impact[splats.impact[splats.body]].astype(np.int32)]
+    made = enumerate(splats.impact.tolist())
+    metal = np.array([splats.materials.index(splats.material(b, i)) + 1 if i else 0 for b, i in made])
+    data["metal"] = [metal[splats.body].astype(np.int32)]
     paths = [folder / "coating.vtu"]
     try:
         inner.mkdir(parents=True, exist_ok=True)

@@ -27,10 +27,10 @@ class Splats:
     mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact from
     which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as (points (k,3)
     m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
-    kg: mass of each particle; metal (n,): name of the metal of each particle; planned: impacts of the run, in `layers` layers; patch:
-    radius of the disc on which centres of particles fall, m; element_size (m): element size of the splats; undecided: indices of
-    impacts without a verdict, which count as stayed; verdicts: verdicts of the finished impacts, empty while the run continues;
-    cores: name of the material of each body that is the core of a particle, by its number.
+    kg: mass of each particle; parts (n): materials of each particle, that of the shell first, with their mass fractions; planned:
+    impacts of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size (m): element
+    size of the splats; undecided: indices of impacts without a verdict, which count as stayed; verdicts: verdicts of the finished
+    impacts, empty while the run continues; cores: name of the material of each body that is the core of a particle, by its number.
     ground: heights (k,) m of the bare surface at points (k,2) m.
     """
 
@@ -40,7 +40,7 @@ class Splats:
     last: tuple[NDArray, NDArray] | None
     stayed: NDArray
     mass: NDArray
-    metal: NDArray
+    parts: tuple[dict[str, float], ...]
     planned: int
     layers: int
     patch: float
@@ -50,6 +50,20 @@ class Splats:
     verdicts: tuple[str, ...] = ()
     cores: dict[int, str] = field(default_factory=dict)
     ground: Callable[[NDArray], NDArray] = flat
+
+    @property
+    def metal(self) -> NDArray[np.str_]:
+        """Name (n,) of the powder of each particle: its metal, or such as "Ni on Al2O3"."""
+        return np.array([" on ".join(part) for part in self.parts])
+
+    @property
+    def materials(self) -> list[str]:
+        """Names of the materials of all particles, in the order of the impacts."""
+        return list(dict.fromkeys(name for part in self.parts for name in part))
+
+    def material(self, body: int, impact: int) -> str:
+        """Name of the material of a body of a splat, or of the last particle. impact: number of its impact."""
+        return self.cores.get(body) or next(iter(self.parts[impact - 1]))
 
     @property
     def deposition_efficiency(self) -> float:

@@ -24,6 +24,7 @@ from coupler.studies.coating import (
     growth,
     in_plane,
     lines,
+    materials,
     measure,
     over_depth,
     per_layer,
@@ -137,7 +138,7 @@ def built() -> Splats:
     )
     return Splats(
         mesh, of, np.array([0, 1, 3, 4]), None, np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, 1, 1, 1]),
-        np.array(["Ni", "Ni", "Cu", "Ni"]), 4, 2, 20e-6, 2e-6,
+        ({"Ni": 1.0}, {"Ni": 1.0}, {"Cu": 1.0}, {"Ni": 1.0}), 4, 2, 20e-6, 2e-6,
     )  # fmt: skip
 
 
@@ -176,14 +177,29 @@ def test_shares_of_a_blend_add_up(built: Splats) -> None:
     in_copper = volume[built.body == 2].sum() / volume[built.body > 0].sum()
     assert (nickel["volume_share"], copper["volume_share"]) == pytest.approx((1.0 - in_copper, in_copper))
     assert "efficiency 100.0%" in dict(lines(measure(built)))["metals"]
-    assert "metals" not in dict(lines(measure(replace(built, metal=np.full(4, "Ni")))))
+    assert "metals" not in dict(lines(measure(replace(built, parts=4 * ({"Ni": 1.0},)))))
+    assert "materials" not in dict(lines(measure(built)))
+
+
+def test_shell_and_core_count_as_two_materials(built: Splats) -> None:
+    """Three of four particles have stayed, one of them with a core of two fifths of its mass, which is the third splat."""
+    coated = replace(
+        built, parts=({"Ni": 1.0}, {"Ni": 1.0}, {"Ni": 0.6, "Al2O3": 0.4}, {"Ni": 1.0}), cores={2: "Al2O3"}
+    )
+    assert [row["metal"] for row in phases(coated, 1.0)] == ["Ni", "Ni on Al2O3"]
+    nickel, alumina = materials(coated, 1.0)
+    assert (nickel["material"], alumina["material"]) == ("Ni", "Al2O3")
+    assert (nickel["deposited_share"], alumina["deposited_share"]) == pytest.approx((2.6 / 3, 0.4 / 3))
+    assert alumina["volume_share"] == pytest.approx(phases(coated, 1.0)[1]["volume_share"])
+    assert "Al2O3 13" not in dict(lines(measure(coated)))["metals"]
+    assert "13.3% of the mass deposited" in dict(lines(measure(coated)))["materials"]
 
 
 def test_an_opening_makes_voids_open(built: Splats) -> None:
     below = built.mesh.points[built.mesh.cells].mean(axis=1)
     holed = ~((built.body == 3) & (np.hypot(below[:, 0] + 6e-6, below[:, 1]) < 4e-6))
     mesh = Fields(0.0, built.mesh.points, built.mesh.cells[holed], {k: v[holed] for k, v in built.mesh.data.items()})
-    one = Splats(mesh, built.body[holed], built.impact, None, built.stayed, built.mass, built.metal, 4, 2, 20e-6, 2e-6)
+    one = Splats(mesh, built.body[holed], built.impact, None, built.stayed, built.mass, built.parts, 4, 2, 20e-6, 2e-6)
     opened, closed = Columns(one, (0.0, 0.0), 12e-6, 0.5e-6).voids(1e-6)
     assert closed.sum() == 0
     assert opened.sum() > 0

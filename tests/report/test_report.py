@@ -2,14 +2,18 @@
 
 import dataclasses
 import io
+import json
 import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from made_up_run import ball, block, flattened, summary_of, write
+from made_up_run import SCENE, ball, block, flattened, summary_of, write
+from scenes import several
 
 from coupler.errors import StoreError
+from coupler.files.fields import Fields
 from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.geometry.points import in_tets
@@ -76,6 +80,44 @@ def test_the_label_of_a_colour_bar_is_no_longer_than_the_bar(length: float) -> N
     assert label.get_window_extent().height <= 100 * length
     assert label.get_fontsize() >= picture.READABLE
     assert ("\n" in label.get_text()) == (length < 2.0)
+
+
+def test_an_outline_has_all_corners() -> None:
+    """Of two squares: the micrograph showed a pore in place of the last corner of each splat."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    outline = picture.outline_of([square, square + 2.0])
+    inside = 0.9 * (square - 0.5) + 0.5
+    assert outline.contains_points(np.concatenate([inside, inside + 2.0])).all()
+
+
+def test_materials_are_those_of_shell_core_and_layers() -> None:
+    """Two particles, one coated, on a layer; of one metal there are no phases."""
+    layer = [{"material": "Al", "thickness": "10 um"}]
+    core = {"material": "Al2O3", "share": 0.3}
+    two = several({"core": core}, {"material": "Cu"}, substrate={"material": "SS304", "layer": layer})
+    phases = picture.phases_of(json.loads(plan_text(plan(two)))["plan"])
+    assert phases is not None
+    assert phases.names == ["Ni", "Al2O3", "OFHC_Cu", "SS304", "Al"]
+    assert phases.particles.tolist() == [[0, 1], [2, 2]]
+    data = {"body": [0, 1, 2, 3, 4], "impact": [0, 0, 1, 1, 2], "core": [0, 0, 0, 1, 0]}
+    bodies = Fields(0.0, np.zeros((4, 3)), np.zeros((5, 4), int), {k: np.array(v, float) for k, v in data.items()})
+    assert phases.of(bodies).tolist() == [3, 4, 0, 1, 2]
+    assert picture.phases_of(json.loads(plan_text(plan(several({}, {}))))["plan"]) is None
+    assert picture.phases_of({}) is None
+
+
+def test_a_section_of_several_materials_shows_them(folder: Path, tmp_path: Path) -> None:
+    """Above temperature and strain: particle and target in the colours of their materials."""
+    from matplotlib.image import imread
+
+    scene = SCENE.replace("velocity", 'core = { material = "Al2O3", share = 0.3 }\nvelocity')
+    coated = imread(section_picture(Result(write(tmp_path / "run", scene=scene, impact=1.0))))[..., :3]
+    plain = imread(section_picture(Result(folder), tmp_path / "plain.png"))
+    assert len(coated) > 1.4 * len(plain)
+    above = coated[: len(coated) // 3]
+    for phase in (0, 2):  # nickel, which has no points of a core here, on steel
+        assert np.isclose(above, picture.colour_of(phase), atol=0.01).all(axis=-1).mean() > 0.02
+    assert not np.isclose(plain[..., :3], picture.colour_of(2), atol=0.01).all(axis=-1).any()
 
 
 def test_picture_shows_both_fields(folder, tmp_path):
