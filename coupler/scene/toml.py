@@ -9,7 +9,7 @@ from typing import Any
 import tomlkit
 from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT, Comment, Table, Whitespace
+from tomlkit.items import AoT, Comment, InlineTable, Table, Whitespace
 
 from .. import units
 from .model import SceneData
@@ -53,7 +53,7 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
 
 def completed(text: str, full: str) -> str:
     """The text of a scene, in its order and with its comments, together with all keys and comments of `full` that it lacks. The key
-    `library` is left out."""
+    `library` is left out, and names of files are those of `full`, which are absolute."""
     document = tomlkit.parse(_DERIVED.sub("", text))
     document.pop("library", None)
     _fill(document, tomlkit.parse(full))
@@ -74,8 +74,12 @@ def _fill(own: Container, full: Container) -> None:
             if isinstance(item, Table | AoT):
                 own.add(tomlkit.nl())
             own.append(key.key, item)
+        elif key.key == "file":
+            own[key.key] = item
         elif isinstance(item, Table) and isinstance(own[key.key], Table):
             _fill(own[key.key].value, item.value)
+        elif isinstance(item, Table | InlineTable) and isinstance(mine := own[key.key], Table | InlineTable):
+            mine.update({name: value for name, value in item.items() if name == "file"})
         elif isinstance(item, AoT) and isinstance(own[key.key], AoT):
             for each, whole in zip(own[key.key].body, item.body, strict=True):
                 _fill(each.value, whole.value)

@@ -1,21 +1,25 @@
 """Several impacts: a finished splat becomes part of the target, and the next particle hits it."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import meshio
 import numpy as np
 import pytest
 from blocks import Blocks, block, substrate
-from runs import SharedRuns, assert_goes_on, assert_same_files, assert_same_numbers
+from runs import SharedRuns, assert_goes_on, assert_same_files, assert_same_numbers, break_off
 from scenes import SHORT_DOUBLE, scene
+from scipy.spatial import Delaunay
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.contact.overlap import displacements_out, overlaps
 from coupler.deposition import joining
 from coupler.deposition.joining import cloud_of, release_time
+from coupler.deposition.run import resume
 from coupler.deposition.summary import summary
 from coupler.errors import SplatError
 from coupler.fe import explicit, heat, stability
@@ -38,6 +42,7 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.ranks.ranks import Ranks
+from coupler.report.page import write_report
 from coupler.splat.convert import convert
 from coupler.target.bodies import Bodies
 from coupler.target.domain import domain_now, domain_of, merge
@@ -332,6 +337,46 @@ def test_threads_give_the_numbers_of_one(
 def test_a_sequence_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Path, at: float | None) -> None:
     """Broken off in the second impact of 15 ns, and right after the join."""
     assert_goes_on(SHORT_DOUBLE, shared_run(SHORT_DOUBLE), tmp_path / "out", at)
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [
+        'height_map = { file = "map.csv" }',
+        *(
+            pytest.param(shape, marks=pytest.mark.slow)
+            for shape in (
+                'height_map = { file = "map.stl" }',
+                'groove = { width = "40 um", depth = "10 um", angle = "50 deg" }',
+                'step = { height = "8 um" }',
+            )
+        ),
+    ],
+    ids=["map", "patch", "groove", "step"],
+)
+def test_a_sequence_on_shaped_ground_goes_on_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ground: str
+) -> None:
+    """Broken off in the second impact, and resumed where the file of heights is not: the plan has the surface. The report needs no file
+    either."""
+    axis = 4e-6 * np.arange(-15.0, 16.0)
+    x, y = (each.ravel() for each in np.meshgrid(axis, axis))
+    waves = np.column_stack([x, y, 2e-6 * np.sin(x / 12e-6) + 1e-6 * np.sin(y / 15e-6)])
+    (tmp_path / "scene").mkdir()
+    monkeypatch.chdir(tmp_path / "scene")
+    np.savetxt("map.csv", 1e6 * waves, delimiter=",")
+    meshio.Mesh(1e6 * waves, [("triangle", Delaunay(waves[:, :2]).simplices)]).write("map.stl")
+    text = SHORT_DOUBLE.replace("[substrate]", f"[substrate]\n{ground}").replace(
+        'diameter = "100 um"', 'diameter = "90 um"'
+    )
+    whole = run(Scene.from_text(text, "shared"), tmp_path / "whole", quiet=True)
+    break_off(Scene.from_text(text, "shared"), tmp_path / "out", 5e-9, after=1)
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree("scene")
+    result = resume(tmp_path / "out", quiet=True)
+    assert_same_numbers(whole.summary, result.summary, rel=1e-9)
+    assert_same_files(whole, result)
+    assert write_report(result).stat().st_size > 1_000_000
 
 
 @pytest.mark.slow

@@ -175,7 +175,7 @@ def test_a_map_is_the_same_surface_from_every_kind_of_file(tmp_path: Path) -> No
         ground = plan(scene).target.ground
         assert ground is not None
         assert np.abs(ground.heights(places) * 1e6 - written).max() < 0.1, name
-        assert Scene.from_text(scene.to_toml(), str(tmp_path / "scene.toml")) == scene
+        assert Scene.from_text(scene.to_toml(), str(tmp_path / "elsewhere" / "scene.toml")) == scene
 
 
 def test_the_normal_is_that_of_the_place_which_a_sphere_touches() -> None:
