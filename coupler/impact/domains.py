@@ -37,7 +37,6 @@ from .folding import SHAPES, Folding
 from .heat import HeatPaths
 
 MESHING_LIMIT = 600.0  # s, time limit of gmsh for the substrate
-SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
 
 
 @dataclass
@@ -179,8 +178,8 @@ def body_of(plan: Plan, i: int) -> shapes.Body:
     p = plan.impacts[i]
     if p.file:
         points, triangles = map(np.array, vars(plan.solids[p.file]).values())
-        return shapes.of_surface(points, triangles, p.diameter, p.points, p.tilt, SURFACE_EDGE)
-    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE, p.pores)
+        return shapes.of_surface(points, triangles, p.diameter, p.points, p.tilt)
+    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, p.pores)
 
 
 def build_particle(

@@ -11,6 +11,7 @@ from ..geometry.triangles import correct_volume, enclosed_volume, shells, surfac
 from ..physics import shapes as morphology
 from . import packing
 
+EDGE = 0.8  # of the surface, over the spacing of the points
 _FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes along which a shape ends in flat faces
 _GOLDEN = 0.618034  # its multiples, without their whole parts, are evenly distributed
 _RING = 0.87  # distance between rings over the edges along them, for nearly equilateral triangles
@@ -39,30 +40,28 @@ class Body:
         return float(self.volume ** (1.0 / 3.0))
 
 
-def shape(
-    name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8, pores: morphology.Pores | None = None
-) -> Body:  # fmt: skip
+def shape(name: str, diameter: float, points: int, tilt: float = 0.0, pores: morphology.Pores | None = None) -> Body:
     """A body of a shape in `physics.shapes.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
-    tilt: rotation about y, rad, see `coupler.physics.shapes`; edge: edge length of the surface divided by the spacing of the points;
-    pores: cavities, which enlarge the shape: the volume is that of the metal.
+    tilt: rotation about y, rad, see `coupler.physics.shapes`; pores: cavities, which enlarge the shape: the volume is that of the
+    metal.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
     inner = None
     if pores is not None:
-        body = _porous(form.scaled((1.0 + pores.volume / volume) ** (1.0 / 3.0)), pores, volume, points, edge)
+        body = _porous(form.scaled((1.0 + pores.volume / volume) ** (1.0 / 3.0)), pores, volume, points)
     elif name == "sphere":
         cloud, each = packing.sphere(diameter, points)
-        skin = packing.surface(diameter, edge * each ** (1.0 / 3.0))
+        skin = packing.surface(diameter, EDGE * each ** (1.0 / 3.0))
         body = Body(cloud, each, *skin, np.pi * diameter**2, 0.5 * diameter)
     else:
         half = (0.5 * form.lengths[0], 0.5 * form.lengths[1], 0.5 * form.lengths[2])
         flat = _FLAT.get(name, ())
         cloud, each = packing.fill(form.contains, half, volume, points, flat)
-        vertices, triangles = _surface(form, edge * each ** (1.0 / 3.0))
+        vertices, triangles = _surface(form, EDGE * each ** (1.0 / 3.0))
         if name == "hollow_sphere":
-            hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))
+            hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], EDGE * each ** (1.0 / 3.0))
             inner = hole, facing_out[:, ::-1]
         body = Body(
             cloud, each, vertices, triangles, surface_area(vertices, triangles), -float(vertices[:, 2].min()), inner
@@ -70,8 +69,8 @@ def shape(
     return _tilted(body, tilt) if tilt else body
 
 
-def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, points: int, edge: float) -> Body:
-    """A body with pores. form: with them; volume m3: without them; points, edge: as in `shape`. Its centre of mass is the origin."""
+def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, points: int) -> Body:
+    """A body with pores. form: with them; volume m3: without them; points: as in `shape`. Its centre of mass is the origin."""
     centres, radius = np.array(pores.centres), 0.5 * pores.diameter
     middle = -pores.volume / volume * centres.mean(axis=0)
 
@@ -84,22 +83,19 @@ def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, point
     a, b, c = (0.5 * length + abs(float(off)) for length, off in zip(form.lengths, middle, strict=True))
     cloud, each = packing.fill(inside, (a, b, c), volume, points)
     spacing = each ** (1.0 / 3.0)
-    vertices, triangles = _surface(form, edge * spacing)
-    hole, facing_out = packing.surface(pores.diameter, edge * spacing)
-    hole *= (pores.volume / len(centres) / enclosed_volume(hole, facing_out)) ** (
-        1.0 / 3.0
-    )  # a coarse surface has chords
+    vertices, triangles = _surface(form, EDGE * spacing)
+    hole, facing_out = packing.surface(pores.diameter, EDGE * spacing)
+    # a coarse surface has chords
+    hole *= (pores.volume / len(centres) / enclosed_volume(hole, facing_out)) ** (1.0 / 3.0)
     holes = (centres[:, None] + hole - middle).reshape(-1, 3)
     facing = (facing_out[:, ::-1] + len(hole) * np.arange(len(centres))[:, None, None]).reshape(-1, 3)
     area, half = surface_area(vertices, triangles), float(middle[2] - vertices[:, 2].min())
     return Body(cloud, each, vertices - middle, triangles, area, half, (holes, facing))
 
 
-def of_surface(
-    points: np.ndarray, triangles: np.ndarray, diameter: float, count: int, tilt: float = 0.0, edge: float = 0.8
-) -> Body:
+def of_surface(points: np.ndarray, triangles: np.ndarray, diameter: float, count: int, tilt: float = 0.0) -> Body:
     """A body inside a closed surface of points and triangles (`geometry.solid.Solid`), scaled to the volume of a sphere of
-    `diameter` m. count: approximate number of points; tilt, edge: as in `shape`.
+    `diameter` m. count: approximate number of points; tilt: as in `shape`.
 
     The surface is meshed again with even edges, and moved along its normals to the exact volume. Closed surfaces inside it are pores.
     """
@@ -107,7 +103,7 @@ def of_surface(
     source = RaySurface(x, triangles)
     a, b, c = np.abs(x).max(axis=0).tolist()
     cloud, each = packing.fill(source.inside, (a, b, c), volume, count)
-    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), lambda at: source.feet(at)[0])
+    vertices, corners = even(x, triangles, EDGE * each ** (1.0 / 3.0), lambda at: source.feet(at)[0])
     vertices, _ = correct_volume(vertices, corners, volume, 0.5 * each ** (1.0 / 3.0))
     (vertices, corners), *holes = shells((vertices, corners))
     area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
@@ -126,12 +122,12 @@ def core_of(body: Body, share: float) -> np.ndarray:
     return number
 
 
-def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> Body:
-    """A cylinder of `diameter` and `length` m along z, with about `points` points. edge: as in `shape`."""
+def cylinder(diameter: float, length: float, points: int) -> Body:
+    """A cylinder of `diameter` and `length` m along z, with about `points` points."""
     volume = np.pi / 4.0 * diameter**2 * length
     half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
     cloud, each = packing.fill(lambda x: morphology.in_cylinder(half[0], half[2], x), half, volume, points, (2,))
-    skin = revolved(_cylinder_profile(half[0], half[2]), edge * each ** (1.0 / 3.0))
+    skin = revolved(_cylinder_profile(half[0], half[2]), EDGE * each ** (1.0 / 3.0))
     return Body(cloud, each, *skin, surface_area(*skin), half[2])
 
 
@@ -188,28 +184,22 @@ def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.nda
         rings.append(np.arange(n, n + count))
         angles.append(phi)
         n += count
-    triangles = [t for i in range(len(rings) - 1) for t in _stitch(rings[i], angles[i], rings[i + 1], angles[i + 1])]
-    return np.concatenate(vertices), np.array(triangles)
+    triangles = [_stitch(rings[i], angles[i], rings[i + 1], angles[i + 1]) for i in range(len(rings) - 1)]
+    return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> list[tuple[int, int, int]]:
-    """Triangles between two rings of vertices at the angles phi_u and phi_l, in the order of the angle."""
+def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> np.ndarray:
+    """Triangles (k,3) between two rings of vertices at the angles phi_u and phi_l, in the order of the angle. A ring may be a pole."""
     nu, nl = len(upper), len(lower)
-    if nu == 1:
-        return [(upper[0], lower[j], lower[(j + 1) % nl]) for j in range(nl)]
-    if nl == 1:
-        return [(upper[i], lower[0], upper[(i + 1) % nu]) for i in range(nu)]
-    triangles, i, j = [], 0, 0
-    while i < nu or j < nl:
-        next_u = phi_u[(i + 1) % nu] + 2.0 * np.pi * ((i + 1) // nu)
-        next_l = phi_l[(j + 1) % nl] + 2.0 * np.pi * ((j + 1) // nl)
-        if j == nl or (i < nu and next_u <= next_l):
-            triangles.append((upper[i % nu], lower[j % nl], upper[(i + 1) % nu]))
-            i += 1
-        else:
-            triangles.append((upper[i % nu], lower[j % nl], lower[(j + 1) % nl]))
-            j += 1
-    return triangles
+    # each edge of a ring is a side of one triangle; the triangles are in the order of the ends of these edges
+    order = np.argsort(
+        np.concatenate([np.append(phi[1:], phi[0] + 2.0 * np.pi) for phi in (phi_u, phi_l)]), kind="stable"
+    )
+    on_upper = order < nu
+    i, j = np.cumsum(on_upper) - on_upper, np.cumsum(~on_upper) - ~on_upper
+    third = np.where(on_upper, upper[(i + 1) % nu], lower[(j + 1) % nl])
+    triangles = np.stack([upper[i % nu], lower[j % nl], third], axis=1)
+    return triangles[np.where(on_upper, nu > 1, nl > 1)]  # a pole has no edge
 
 
 def _polyhedron(corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
