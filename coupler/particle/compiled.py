@@ -12,7 +12,6 @@ from typing import Annotated, ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.arrays import Arrays
 from ..core.loops import PARTS
 from ..core.records import Rows
 from ..core.threads import share, together
@@ -21,7 +20,7 @@ from ..physics import motion
 from ..physics.constitutive import sound_speed
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
-from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides
+from .model import Deformation, Losses, Motion, Pairs, Residuals, Scheme, Sides
 from .particle import DISTORTED, UNDEFINED_STRESS, LocalState, Particle, PointState
 from .start import H
 
@@ -44,6 +43,7 @@ class CompiledParticle(Particle):
     PAIR = "pair_compiled.lmp"
     POINTS: ClassVar[type[PointState]] = CompiledPoints
     points: CompiledPoints
+    _residuals: Residuals | None = None
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -156,24 +156,18 @@ class CompiledParticle(Particle):
     def _update_stress(self) -> None:
         failed, m, d = self._failed, self._motion, self._deformation
         try:
-            self._stress(failed, (self.dt, self._special, self._scheme, self._sides, m, d, self._state))
+            of_points = self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._residuals
+            together(k.stress_of_all, self.n, failed, of_points)
         finally:
             if self.comm.size > 1:
                 self._skip_step()
         if failed.max() >= 0:
-            self._refuse(int(failed[failed >= 0][0]))
-        is_last = self._steps_left == 0
-        self._forces(
-            (self.dt, is_last, self._scheme, self._pairs, m, d, self._losses), (self._sides, self._force, self.points.f)
-        )
-
-    def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
-        """Do pass 1 in all threads. Writes the first point that fails in each part of the points to failed (PARTS,)."""
-        together(k.stress_of_all, self.n, failed, of_points)
-
-    def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
-        """Do pass 2 and add up the forces, in all threads."""
-        together(k.forces_of_all, self.n, (*of_pairs, self._force), of_sum)
+            point = int(failed[failed >= 0][0])
+            reason = DISTORTED if np.isfinite(self.points.J[point]) else UNDEFINED_STRESS
+            raise SolverError(self._failure(reason, point))
+        is_last, force = self._steps_left == 0, self._force
+        of_pairs = self.dt, is_last, self._scheme, self._pairs, m, d, self._losses, self._residuals, force
+        together(k.forces_of_all, self.n, of_pairs, (self._sides, force, self.points.f))
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. If the gradient of plastic strain hardens the metal, the plastic strain of the chunk of steps is added
@@ -236,10 +230,6 @@ class CompiledParticle(Particle):
         for box, (_, rows) in zip(inbox, receives, strict=True):
             for i, array in enumerate(arrays):
                 array[rows] = box[:, widths[i] : widths[i + 1]]
-
-    def _refuse(self, point: int) -> None:
-        is_finite = np.isfinite(self.points.J[point])
-        raise SolverError(self._failure(DISTORTED if is_finite else UNDEFINED_STRESS, point))
 
     def _strain(self) -> np.ndarray:
         strain = np.empty((self.n, 6))

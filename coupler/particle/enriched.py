@@ -23,13 +23,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core import safety
-from ..core.arrays import Arrays
 from ..core.records import Rows
-from ..core.threads import together
+from ..core.threads import share, together
 from ..errors import SolverError
-from . import enriched_kernels as k
+from . import frequency as k
 from .compiled import CompiledParticle, CompiledPoints
-from .frequency import PointFrequency
 from .inertia import CellInertia
 from .model import Residuals
 from .particle import LocalState
@@ -59,6 +57,7 @@ class EnrichedParticle(CompiledParticle):
 
     POINTS = EnrichedPoints
     points: EnrichedPoints
+    _residuals: Residuals
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -68,24 +67,17 @@ class EnrichedParticle(CompiledParticle):
             raise SolverError(
                 f"a point has {counts.max()} neighbours, more than {MOST_SIDES}: use a smaller kernel_radius"
             )
-        count = len(sides.neighbour)
+        count, pairs, everyone = len(sides.neighbour), len(self._pairs.points), len(self._tag)
         foreign = sum(len(rows) for _, rows in self._side_receives)
         self._slot = 3 * (np.arange(count) - sides.first[self._point].astype(np.int64))[:, None] + np.arange(3)
         self._residuals = Residuals(np.zeros((count, 3)), np.zeros((count + foreign, 3)), self.points.unseen)
-        random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
         step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
         laws = self.law, self._whole_law_of
         self._inertia = CellInertia(laws, self.volume_of_point, step, sides, self._tag - 1, self.comm.allgather)
-        self._frequency = PointFrequency(
-            (self.law, self.law_of), self.volume_of_point, sides, self._pairs, self._motion.X, count + foreign, random,
-            self.comm.allgather, self._fetch, self._inertia.slow,
-        )  # fmt: skip
-
-    def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
-        together(k.stress_of_all, self.n, failed, (*of_points, self._residuals))
-
-    def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
-        together(k.forces_of_all, self.n, (*of_pairs, self._residuals.force, self._force), of_sum)
+        self._random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
+        self._small = k.Small(
+            np.zeros((everyone, 3)), np.zeros((everyone, 9)), np.zeros((count + foreign, 3)), np.zeros((pairs, 3))
+        )
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
         self._rim = _one_sided(self._whole, self._scheme.h)[self._tag - 1]
@@ -117,11 +109,6 @@ class EnrichedParticle(CompiledParticle):
         super()._skip_step()
         self._swap(self._side_sends, self._side_receives, self._residuals.force)
 
-    def _fetch(self, points: np.ndarray, sides: np.ndarray | None = None) -> None:
-        self._swap(self._sends, self._receives, points)
-        if sides is not None:
-            self._swap(self._side_sends, self._side_receives, sides)
-
     def _add_inertia(self) -> None:
         if self._inertia.cells:
             total = self.points.f + self.f_ext
@@ -136,9 +123,47 @@ class EnrichedParticle(CompiledParticle):
         # all ranks take part in the iteration, before one of them can raise
         if self.numerics.inertia > 0.0:
             self._inertia.weigh(self.points.F, self.points.J)
-        longest = self._frequency.longest_step(self._deformation.F, self.points.J, self.points.mode)
+        longest = self._longest_step()
         bound = super().stable_dt()
         return min(safety.LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
+
+    def _longest_step(self) -> float:
+        """The time step (s) at which the points of all ranks become unstable; NaN if the frequency is not finite.
+
+        Updates `points.mode`. While the step decreases, the returned step is extrapolated from the last two to the end of the next
+        chunk.
+        """
+        n, sides, F, J, mode = self.n, self._sides, self._deformation.F, self.points.J, self.points.mode
+        stiffness, f, small = np.empty(n), np.empty((n, 3)), self._small
+        share(lambda lo, hi: k.stiffness_points(lo, hi, sides, F, stiffness), n, k.LEAST_POINTS)
+        largest = max(self.comm.allgather(float(stiffness.max(initial=0.0))))
+        u, before = small.u[:n], self._size(mode)
+        if before > 0.0:
+            stirred = (stiffness / largest)[:, None] ** 2 * self._random
+            u[:] = mode / before + k.STIRRED / self._size(stirred) * stirred
+        else:
+            u[:] = self._random
+        omega2 = self._size(u)
+        # u becomes minus the accelerations that it causes, over its size
+        for _ in range(k.NEXT if before > 0.0 else k.FIRST):
+            self._swap(self._sends, self._receives, small.u)
+            together(k.linear_stress, n, self.law, self.law_of, self._scheme.V, sides, self._motion.X, F, J, small)
+            self._swap(self._sends, self._receives, small.Q)
+            self._swap(self._side_sends, self._side_receives, small.residual)
+            together(k.linear_forces, n, sides, self._pairs, small, f)
+            self._inertia.slow(f)
+            np.multiply(f, (-1.0 / (self.mass * omega2))[:, None], out=u)
+            omega2 = self._size(u)
+        limit = 2.0 / np.sqrt(omega2)
+        if not limit > 0.0:
+            return np.nan
+        mode[:] = limit / omega2 * u
+        ahead = limit * min(1.0, limit / before) if before > 0.0 else limit
+        return float(2.0 ** (np.floor(k.GRID * np.log2(ahead)) / k.GRID))
+
+    def _size(self, u: np.ndarray) -> float:
+        """Root of the sum of the squares of u (n,3) over the points of all ranks."""
+        return float(np.sqrt(sum(self.comm.allgather(float(np.vdot(u, u))))))
 
     def _recoverable(self, stored: float) -> float:
         return super()._recoverable(stored) + self.volume_of_point * float(self.points.unseen.sum())
