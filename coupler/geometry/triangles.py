@@ -59,19 +59,6 @@ def vertex_areas(points: NDArray, triangles: NDArray) -> NDArray:
     return np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
 
 
-def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
-    """The neighbours of points (k,) of a triangulation: start (k+1,) and neighbours. The neighbours of point i are from start[i] to
-    start[i+1]."""
-    a, b = np.concatenate([triangles, triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]])[:, :2].T
-    pairs = np.unique(np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)]), axis=0)
-    order = np.argsort(points, kind="stable")
-    row = np.searchsorted(points, pairs[:, 0], sorter=order)
-    own = order[np.minimum(row, len(points) - 1)]
-    pairs, own = pairs[points[own] == pairs[:, 0]], own[points[own] == pairs[:, 0]]
-    start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=len(points)))])
-    return start, pairs[np.argsort(own, kind="stable"), 1].astype(np.int64)
-
-
 def vertex_normals(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """Unit normals (n,3) at the points: averages over triangles, weighted by area."""
     face = area_vectors(points, triangles)

@@ -14,9 +14,8 @@ from scipy.spatial import cKDTree
 from ..core.arrays import occurring
 from ..core.threads import together
 from ..geometry.points import points_near
-from ..geometry.products import times, times_rows
-from ..geometry.triangles import rings
-from . import carried_kernels as k
+from ..geometry.products import combine_both, spread, times, times_rows
+from ..geometry.triangles import edges
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
 LEAST, INSTEAD = 8, 12  # a vertex with fewer than LEAST points within SUPPORT uses its INSTEAD nearest points
@@ -53,9 +52,8 @@ class CarriedSurface:
     @cached_property
     def neighbours(self) -> csr_matrix:
         """Adjacency matrix (k,k): 1 for two vertices of a common triangle."""
-        vertices = self.weights.shape[0]
-        start, ring = rings(self.triangles, np.arange(vertices))
-        return csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
+        vertices, (a, b) = self.weights.shape[0], edges(self.triangles).T  # of a closed surface: once in each direction
+        return csr_matrix((np.ones(len(a)), (a, b)), shape=(vertices, vertices))
 
     def positions(self, x: np.ndarray) -> np.ndarray:
         """Positions (k,3) m of the vertices, from the positions x (n,3) m of the points."""
@@ -71,12 +69,12 @@ class CarriedSurface:
     ) -> None:
         """`contacts` for positions x and velocities v (n,3), written to the given rows of out_x and out_v, and zero to those of out_f,
         in all threads."""
-        together(k.combine_both, rows, self._touching, x, v, out_x, out_v, out_f)
+        together(combine_both, rows, self._touching, x, v, out_x, out_v, out_f)
 
     def spread(self, forces: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
         """Add forces (k+n,3) on the given rows of `contacts` to the forces out (n,3) on the points `support(rows)`. Resultant,
         moment and power do not change."""
-        k.spread(rows, *self._touching, forces, out)
+        spread(rows, *self._touching, forces, out)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Sums (k,) of values (k+n,) of the contact nodes, such as forces, at each vertex: the value of the vertex plus shares of the
