@@ -8,8 +8,6 @@ stress -p_H + rho Gamma e: heat has the wrong sign, and the Hugoniot term is too
 sum equals -p of `coupler.physics.constitutive`. Both lag by one step.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ..compiling import njit
@@ -23,22 +21,15 @@ LEAST_POINTS = 1000  # in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _machdyn_hugoniot(law: Law, J: float) -> tuple[float, float]:
-    """Pressure of MACHDYN's shock equation of state at zero energy (the Hugoniot), and its derivative with respect to J."""
-    eta = 1.0 - J
-    w = 1.0 - law.s * eta
-    return law.K * eta / (w * w), -law.K * (1.0 + law.s * eta) / (w * w * w)
-
-
-@njit(cache=True, nogil=True, inline="always")
 def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
     """The J at which MACHDYN's equation of state with the energy e (J/kg) gives the mean stress (Pa): Newton's method from the last
     J."""
     if not (on(law.s) or on(law.Gamma0)):
         return 1.0 + mean / law.K
     for _ in range(30):
-        pH, slope = _machdyn_hugoniot(law, J)
-        residual = -pH - mean
+        eta = 1.0 - J
+        w = 1.0 - law.s * eta
+        residual, slope = -(law.K * eta / (w * w)) - mean, -law.K * (1.0 + law.s * eta) / (w * w * w)
         if on(law.Gamma0):
             residual += law.rho / J * law.Gamma0 * e
             slope += law.rho / (J * J) * law.Gamma0 * e
@@ -49,29 +40,22 @@ def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
     return J
 
 
-class Machdyn(NamedTuple):
-    """Arrays of MACHDYN for n points. mass (kg); eps, e (J) and de (W): plastic strain, energy and its rate, which prescribe the next
-    step; set_e (J/kg): energy prescribed for this step."""
-
-    mass: Floats
-    eps: Floats
-    e: Floats
-    de: Floats
-    set_e: Floats
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: State, sums: Floats) -> None:
+def apply_law(
+    laws: Laws, dt: float, H: float, volume: Floats, mass: Floats, eps: Floats, e: Floats, de: Floats, set_e: Floats, a: State,
+    sums: Floats,
+) -> None:  # fmt: skip
     """Read the result of MACHDYN's step, update the state of every point, and prescribe the next step.
 
-    laws: one LAW record; dt (s); H (Pa); volume (n,) m3; a.stress: stress of LAMMPS, only read; sums (2,) J grows by the plastic work
-    and by the part of its heat that makes pressure.
+    laws: one LAW record; dt (s); H (Pa); volume (n,) m3. Arrays of MACHDYN (n,): mass (kg); eps, e (J) and de (W): plastic strain,
+    energy and its rate, which prescribe the next step; set_e (J/kg): energy prescribed for this step; a.stress: stress of LAMMPS, only
+    read. sums (2,) J grows by the plastic work and by the part of its heat that makes pressure.
     """
     law = laws[0]
     for i in range(len(volume)):
         mean = (a.stress[i, 0] + a.stress[i, 3] + a.stress[i, 5]) / 3.0
-        J, sy = _volume_ratio(law, mean, a.J[i], m.set_e[i]), a.sigma_y[i]  # values in MACHDYN's step
-        deps = max(m.eps[i] - sy / H, 0.0)
+        J, sy = _volume_ratio(law, mean, a.J[i], set_e[i]), a.sigma_y[i]  # values in MACHDYN's step
+        deps = max(eps[i] - sy / H, 0.0)
         a.eps_p[i], a.rate[i], a.T[i], a.sigma_y[i], w = harden(law, deps, dt, J, sy, sy, a.eps_p[i], a.rate[i], a.T[i])
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
@@ -81,11 +65,11 @@ def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: St
         a.J[i] = J
         a.work[i] += w
         sums[0] += volume[i] * w
-        m.eps[i] = a.sigma_y[i] / H
+        eps[i] = a.sigma_y[i] / H
         if on(law.Gamma0) and law.Gamma0 > 0.0:
-            m.set_e[i] = (hugoniot_pressure(law, J) - a.p[i]) * J / (law.rho * law.Gamma0)
-        m.e[i] = m.set_e[i] * m.mass[i]
-        m.de[i] = 0.0
+            set_e[i] = (hugoniot_pressure(law, J) - a.p[i]) * J / (law.rho * law.Gamma0)
+        e[i] = set_e[i] * mass[i]
+        de[i] = 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -28,13 +28,11 @@ class MachdynParticle(Particle):
     POINTS = MachdynPoints
     points: MachdynPoints
 
-    def _start_engine(self) -> None:
-        super()._start_engine()
-        p = self.points
-        self._machdyn = k.Machdyn(self._mass, p.eff_plastic_strain, p.esph, p.desph, p.set_e)
-
     def _update_stress(self) -> None:
-        k.apply_law(self._special, self.dt, H, self.volume, self._machdyn, self._state, self.sums)
+        p = self.points
+        k.apply_law(
+            self._special, self.dt, H, self.volume, self._mass, p.eff_plastic_strain, p.esph, p.desph, p.set_e, self._state, self.sums
+        )  # fmt: skip
         if not np.isfinite(self.sums[0]):
             bad = int(np.argmin(np.isfinite(self.points.work)))
             raise SolverError(self._failure(UNDEFINED_STRESS, bad))

@@ -124,7 +124,6 @@ class PointTotals:
         return cls(**{name: fold.get(name, sum)([vars(part)[name] for part in parts]) for name in names})
 
 
-_WIDE = {"smd_stress": 6, "smd_data_9": 9}  # columns of arrays for which LAMMPS does not give this number
 DISTORTED = "it is distorted beyond the range of the kernel"
 UNDEFINED_STRESS = "its stress is not a finite number"
 
@@ -191,7 +190,7 @@ class Particle(LocalState, ABC):
         self._whole, self.X = self.X, self.X[self.ids]
         self._whole_law_of, self.law_of = self.law_of, self.law_of[self.ids]
         self.volume, self.f_ext = np.full(self.n, self.volume_of_point), np.zeros((self.n, 3))
-        kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
+        kept = {name: self._lammps(name, *spec.shape[1:]) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
         super().__init__(new_rows(self.POINTS, self.n, **kept))
         self._mass = self._lammps("rmass")
         self._mass[:] = self.volume * self.law["rho"][self.law_of]
@@ -208,12 +207,9 @@ class Particle(LocalState, ABC):
         self._start_engine()
         self.mass = self._mass.copy()
 
-    def _lammps(self, name: str) -> np.ndarray:
+    def _lammps(self, name: str, columns: int = 1) -> np.ndarray:
         """The array of LAMMPS for the points of this rank, without copies of neighbours."""
-        columns = _WIDE.get(name, 0)
-        if columns:
-            return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
-        return self.lmp.numpy.extract_atom(name)[: self.n]
+        return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """Make `steps` steps of dt s. Each step calls on_step() with positions at n+1; it writes f_ext.

@@ -228,8 +228,8 @@ def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarra
             eps_gradient=np.zeros((n, 3)),
             **{name: a[name] for name in a.keys() & set(State._fields)},
         )
-        machdyn = points_law.Machdyn(np.ones(n), a["eps"], a["e"], a["de"], a["set_e"])
-        points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), machdyn, state, sums)
+        of_machdyn = np.ones(n), a["eps"], a["e"], a["de"], a["set_e"]
+        points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), *of_machdyn, state, sums)
     return a | {"sums": sums}
 
 
