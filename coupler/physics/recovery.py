@@ -65,11 +65,11 @@ def recovery_of(metal: Material) -> Recovery | None:
     return Recovery(_STRAINS[rises], rho[rises], (D_v, Q_v), (D_c, Q_c), metal.G * b**3 / BOLTZMANN)
 
 
-def recovered_share(metal: Material, T: float, time: float, eps_p: float = 1.0) -> float:
-    """Fraction of the dislocations of a plastic strain eps_p that recover in `time` s at T (K); 0 if the recovery is not known."""
+def recovered_share(metal: Material, T: float, time: float) -> float:
+    """Fraction of the dislocations of a plastic strain of 1 that recover in `time` s at T (K); 0 if the recovery is not known."""
     law = recovery_of(metal)
     if law is None or time <= 0.0:
         return 0.0
-    before = np.array([eps_p])
+    before = np.ones(1)
     after = law.density(law.after(before, np.array([T]), time))
     return 1.0 - float(after[0] / law.density(before)[0])

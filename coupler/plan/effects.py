@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
 from ..physics.recovery import recovered_share
 from ..scene.effects import GRADIENTS
@@ -68,9 +67,7 @@ def numbers(
         return m.flow_stress(STRAIN_OF_FLOW, rate, min(T, m.T_ref))
 
     def by_gradient(m: Material, T: float, _: float) -> float:
-        own = stress_of_gradient(
-            m.forest, m.gradient_length, 10.0 / impact.diameter
-        )  # the strain changes by 1 over a tenth
+        own = m.stress_of_gradient(10.0 / impact.diameter)  # the strain changes by 1 over a tenth
         return math.hypot(1.0, own / stress(m, T)) - 1.0
 
     def recovered(m: Material, T: float, heated: float) -> float:
@@ -81,29 +78,26 @@ def numbers(
 
     warm = of_both(lambda m, T, dT: dT / max(m.T_m - T, 1.0))
     in_target, in_particle = length(1, end_time) / size, length(0, duration) / impact.spacing
+    conducted, melts = max(in_target, in_particle), of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0
     return {
         "thermal_softening": max(warm, of_both(lambda m, T, _: (T - m.T_ref) / (m.T_m - m.T_ref))),
         "rate_hardening": of_both(lambda m, T, _: stress(m, T) / stress(m, T, 0.0) - 1.0),
         GRADIENTS: of_both(by_gradient),
         "plastic_heating": of_both(lambda m, *_: m.taylor_quinney),
         "temperature_dependent_cp": of_both(lambda m, T, dT: abs(m.cp_at(T + dT) / m.cp_at(T) - 1)),
-        "temperature_dependent_k": max(in_target, in_particle)
-        * of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)),
+        "temperature_dependent_k": conducted * of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)),
         "friction": friction,
         "friction_heat": friction * warm,
         # in melt this heat accelerates the points without limit
-        "dissipation_heat": 0.0
-        if of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0
-        else of_both(lambda _, T, dT: dT / T),
+        "dissipation_heat": 0.0 if melts else of_both(lambda _, T, dT: dT / T),
         "mie_gruneisen": of_both(lambda m, *_: velocity / m.c0),
         "thermal_expansion": of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
         "adhesion": float(scene.derived.adhesion_law.kind != "none"),
         "absorbing_boundaries": end_time * base.wave_speed / (2 * side_distance),
         "conduction": in_target * warm,
         "particle_conduction": in_particle,
-        "interface_conduction": min(
-            length(1, duration) / size, in_particle
-        ),  # the side with less diffusion limits the heat flow
+        # the side with less diffusion limits the heat flow
+        "interface_conduction": min(length(1, duration) / size, in_particle),
         "cooling": max(length(k, impact.dwell) for k in (0, 1)) / impact.diameter,
         "recovery": of_both(recovered),
     }
