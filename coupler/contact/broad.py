@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
@@ -31,19 +32,6 @@ def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
             least[d] = min(least[d], low[i, d])
             most[d] = max(most[d], high[i, d])
     return least, most
-
-
-@njit(cache=True, nogil=True)
-def points_within(x: Floats, ids: Ints, low: Floats, high: Floats) -> NDArray[np.int64]:
-    """Numbers of the points among `ids` that lie in the box [low, high]; x (n,3): positions."""
-    inside = np.empty(len(ids), np.int64)
-    count = 0
-    for i in ids:
-        p = x[i]
-        if low[0] <= p[0] <= high[0] and low[1] <= p[1] <= high[1] and low[2] <= p[2] <= high[2]:
-            inside[count] = i
-            count += 1
-    return inside[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -75,7 +63,7 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 def _sorted(points: Floats, low: Floats, high: Floats, cell: float) -> tuple[Floats, Ints, Ints, Ints]:
     """Sort the points in the box [low, high] into cells of a grid. Returns the origin of the grid (3,) m, its numbers of cells (3,),
     the index of the first point of each cell, and the points, cell by cell."""
-    near = points_within(points, np.arange(len(points)), low, high)
+    near = boxes_within(points, points, np.arange(len(points)), low, high)
     if len(near) == 0:
         return np.zeros(3), np.ones(3, np.int64), np.zeros(2, np.int64), near
     origin, end = bounds(points[near], points[near])
@@ -156,22 +144,6 @@ def _points_of_boxes(team: Ints, p: _Pairing, number: Ints, first: Ints, found: 
             number[r] = _points_of_box(r, p, found, first[r])
 
 
-@njit(cache=True, nogil=True)
-def _by_point(n: int, first: Ints, found: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The pairs of boxes and points, point by point: start (n+1,) and boxes. first (k+1,), found: points of the boxes, box by box."""
-    start = np.zeros(n + 1, np.int64)
-    for i in found:
-        start[i + 1] += 1
-    for i in range(n):
-        start[i + 1] += start[i]
-    free, boxes = start[:-1].copy(), np.empty(len(found), np.int64)
-    for r in range(len(first) - 1):
-        for i in found[first[r] : first[r + 1]]:
-            boxes[free[i]] = r
-            free[i] += 1
-    return start, boxes
-
-
 def pairs_within(
     points: Floats, reach: Floats, own: Ints, low: Floats, high: Floats, of: Ints, cell: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -190,7 +162,9 @@ def pairs_within(
     first = np.append(0, np.cumsum(number))
     found = np.empty(first[-1], np.int64)
     together(_points_of_boxes, pairing, number, first, found)
-    return _by_point(len(points), first, found)
+    by_box = csr_array((np.ones(len(found), np.int8), found, first), shape=(len(low), len(points)))
+    by_point = by_box.tocsc()
+    return by_point.indptr.astype(np.int64), by_point.indices.astype(np.int64)
 
 
 def facets_within(x: Floats, facets: Ints, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:

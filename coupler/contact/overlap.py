@@ -59,9 +59,9 @@ def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarra
                 found[node] = move
 
     for other in others:
-        near = broad.points_within(x, surfaces.nodes_of(body), low[other], high[other])
+        near = broad.boxes_within(x, x, surfaces.nodes_of(body), low[other], high[other])
         put(*_inside(surfaces, x, other, near)[:2])
-    near = broad.points_within(x, surfaces.nodes_of(*others), low[body], high[body])
+    near = broad.boxes_within(x, x, surfaces.nodes_of(*others), low[body], high[body])
     _, out, facets, weights = _inside(surfaces, x, body, near)
     share = weights / np.einsum("ij,ij->i", weights, weights)[:, None]
     put(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))

@@ -54,6 +54,12 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
     return points[used], tets.reshape(-1, 4)
 
 
+def _equal(gmsh: ModuleType) -> None:
+    """Set the size of all edges to 1."""
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+
+
 def cylinder(
     diameter: float, height: float, size: float, refined_radius: float, growth: float, centre: tuple[float, float] = (0.0, 0.0),
     sizes_to: float | None = None, sector: float = 2.0 * math.pi, spread: float = 0.0,
@@ -104,8 +110,7 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
     def model(gmsh: ModuleType) -> None:
         gmsh.model.occ.addBox(0, 0, 0, *(length / size for length in lengths))
         gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+        _equal(gmsh)
 
     points, tets = build(model)
     return points * size, tets
@@ -113,7 +118,7 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
 
 def fill(
     shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT,
-    sizes: Callable[[ModuleType], None] | None = None,
+    sizes: Callable[[ModuleType], None] = _equal,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces, which do not change.
 
@@ -135,11 +140,7 @@ def fill(
             elements += len(triangles)
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
-        if sizes is not None:
-            sizes(gmsh)
-        else:
-            gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-            gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+        sizes(gmsh)
         # quality below which elements are optimised; at the default 0.3 the worst one has a time step some 30 % shorter
         gmsh.option.setNumber("Mesh.OptimizeThreshold", 0.45)
 

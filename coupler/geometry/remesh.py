@@ -11,6 +11,7 @@ import numpy as np
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints
+from .graph import around
 from .triangles import compact, vertex_normals
 from .triangles import edges as directed_edges
 
@@ -64,21 +65,10 @@ def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return once, np.linalg.norm(x[once[:, 0]] - x[once[:, 1]], axis=1)
 
 
-@njit(cache=True, nogil=True)
-def _around(t: Ints, n: int) -> tuple[Ints, Ints]:
+def _around(t: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangles around each of n vertices: start (n+1,), table."""
-    start = np.zeros(n + 1, np.int64)
-    for f in range(len(t)):
-        for k in range(3):
-            start[t[f, k] + 1] += 1
-    for v in range(n):
-        start[v + 1] += start[v]
-    table, free = np.empty(3 * len(t), np.int64), start[:-1].copy()
-    for f in range(len(t)):
-        for k in range(3):
-            table[free[t[f, k]]] = f
-            free[t[f, k]] += 1
-    return start, table
+    start, places = around(t, n)
+    return start, places // 3
 
 
 def _shortest_first(length: np.ndarray, size: float) -> np.ndarray:

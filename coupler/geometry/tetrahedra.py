@@ -16,11 +16,6 @@ def volumes(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
     return np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
 
 
-def gradients(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
-    """Gradients (m,3,3) of the barycentric coordinates of corners 1 to 3 in each tetrahedron."""
-    return np.linalg.inv(points[tets[:, 1:]] - points[tets[:, :1]]).transpose(0, 2, 1)
-
-
 def oriented(points: NDArray, tets: NDArray) -> NDArray:
     """The tetrahedra with positive volumes: the last two corners are swapped if the volume is negative."""
     return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)

@@ -176,7 +176,7 @@ def test_what_lies_in_a_box(rng: np.random.Generator) -> None:
     nodes = np.unique(facets[ids])
     inside = nodes[((x[nodes] > least) & (x[nodes] < most)).all(axis=1)]
     assert 0 < len(inside) < len(nodes)
-    np.testing.assert_array_equal(broad.points_within(x, nodes, least, most), inside)
+    np.testing.assert_array_equal(broad.boxes_within(x, x, nodes, least, most), inside)
 
 
 class Projector:
