@@ -196,7 +196,8 @@ def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.n
         np.concatenate([np.append(phi[1:], phi[0] + 2.0 * np.pi) for phi in (phi_u, phi_l)]), kind="stable"
     )
     on_upper = order < nu
-    i, j = np.cumsum(on_upper) - on_upper, np.cumsum(~on_upper) - ~on_upper
+    i: np.ndarray = np.cumsum(on_upper) - on_upper
+    j = np.arange(nu + nl) - i
     third = np.where(on_upper, upper[(i + 1) % nu], lower[(j + 1) % nl])
     triangles = np.stack([upper[i % nu], lower[j % nl], third], axis=1)
     return triangles[np.where(on_upper, nu > 1, nl > 1)]  # a pole has no edge
