@@ -65,8 +65,6 @@ class BodyContact(BodyContactState):
             )
         self.surfaces = surfaces
         self._is_new = True  # the first search takes the bonded nodes as they are
-        self._body_of = np.full(len(x), ANY)
-        self._body_of[surfaces.facets] = surfaces.body[:, None]
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
         alike = [max(body, 1) for body in bodies]  # the stiffness does not change when later bodies join
         spacing = [surfaces.spacing(x, b) for b in alike]
@@ -78,7 +76,7 @@ class BodyContact(BodyContactState):
         node = np.concatenate([np.zeros(0, np.int64), *nodes])
         self._facing = self._facets_around(x, bodies)
         pairs = Contact(
-            self._body_of[node], surfaces.facets, surfaces.body, k_of, spacing, friction, jump=JUMP, node=node,
+            surfaces.body_of_node[node], surfaces.facets, surfaces.body, k_of, spacing, friction, jump=JUMP, node=node,
             facing=self._facing, skin=SKIN,
         )  # fmt: skip
         super().__init__(pairs, np.zeros(len(x), bool))
@@ -136,13 +134,14 @@ class BodyContact(BodyContactState):
         if bond is not None:
             tight = ~bond.loose
             bonded[bond.nodes[tight]] = True
-            partner[bond.nodes[tight]] = self._body_of[bond.triangles[tight, 0]]
+            partner[bond.nodes[tight]] = self.surfaces.body_of_node[bond.triangles[tight, 0]]
         handed_over = (bonded != self.bonded) & (not self._is_new)
         changed = bool(handed_over.any()) or given_up > 0.0
         before, self.bonded, self._is_new = self.energy if changed else 0.0, bonded, False
         c, node = self.pairs, self.pairs.points.node
         c.points.partner[:] = partner[node]
-        c.forget(handed_over[node])
+        c.history[handed_over[node]] = new_history(1)  # a bond has started or ceased to resist their compression
+        c.expire(handed_over[node])
         c.search(x[node], x, travel, active=active, v=v)
         if changed:  # a step of zero length gives the energy that the contact stores with its new nodes
             rest = np.zeros_like(x)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..core.arrays import SpringTable
+from ..core.arrays import Links
 from ..core.records import Rows, concatenate, new_rows, take
 from ..errors import SolverError
 from . import bond_kernels as k
@@ -151,30 +151,9 @@ class Bond:
         """Remaining share (n,) of the fracture energy of each bond: the square of the remaining share of its strength."""
         return (1.0 - self.damage) ** 2
 
-    def load(self, size: int) -> np.ndarray:
-        """Row sums (size,) N/m of the stiffness matrix of all bonds: the largest row sum / mass is a bound on omega^2 (Gershgorin)."""
-        ends = np.concatenate([self.nodes[:, None], self.triangles], axis=1)
-        return np.bincount(ends.ravel(), self.row_sums().ravel(), size)
-
-    def row_sums(self) -> np.ndarray:
-        """Row sums (n,4) N/m of the stiffness matrix of each bond: the row of its point, then the rows of the three corners of its
-        triangle."""
-        spring, share = self.stiffness * self.area, np.abs(self.weights)
-        whole = 1.0 + share.sum(axis=1)
-        return np.concatenate([(spring * whole)[:, None], (spring[:, None] * share) * whole[:, None]], axis=1)
-
-    def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
-        """Add the product of the stiffness matrix and a small motion w (N,3) m to f (N,3) N; no bond may be broken. active: number
-        of nodes that move, the first ones (default: all)."""
-        strength = self.stiffness * self.area
-        k.spring_forces(self.nodes, self.triangles, self.weights, strength, w, len(w) if active is None else active, f)
-
-    def springs(self) -> SpringTable:
-        """Table of the springs that are not broken."""
-        whole = ~self.broken
-        return SpringTable.of(
-            self.nodes[whole], self.triangles[whole], self.weights[whole], (self.stiffness * self.area)[whole]
-        )
+    def springs(self) -> Links:
+        """The bonds as springs, also those that are broken."""
+        return Links.of(self.nodes, self.triangles, self.weights, self.stiffness * self.area)
 
     def release(self) -> float:
         """Remove broken bonds, and make bonds with a slip above MAX_SLIDE loose: the contact resists their compression.

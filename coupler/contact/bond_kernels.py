@@ -234,22 +234,3 @@ def in_contact(
                     if penetration[ring[j]] > 0.0:
                         depth[i] = 0.0
                         break
-
-
-@njit(cache=True, nogil=True)
-def spring_forces(
-    nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, active: int, f: Floats
-) -> None:
-    """Add the product of the springs' stiffness matrix and w (N,3) m to f (N,3) N. Rows of w from `active` on are zero. strength (n,)
-    N/m: stiffness of each spring, equal in all directions."""
-    for i in range(len(nodes)):
-        if min(nodes[i], triangles[i, 0], triangles[i, 1], triangles[i, 2]) >= active:
-            continue
-        for d in range(3):
-            pull = w[nodes[i], d]
-            for j in range(3):
-                pull -= weights[i, j] * w[triangles[i, j], d]
-            pull *= strength[i]
-            f[nodes[i], d] += pull
-            for j in range(3):
-                f[triangles[i, j], d] -= weights[i, j] * pull

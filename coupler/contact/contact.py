@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from ..core import safety
-from ..core.arrays import Floats, Ints, SpringTable, occurring
+from ..core.arrays import Floats, Ints, Links, occurring
 from ..core.loops import PARTS
 from ..core.records import Shape, Sums, put
 from ..core.threads import share, together
@@ -127,7 +127,7 @@ class Contact(ContactState):
     @property
     def normal_force(self) -> Floats:
         """Normal contact force (n,) N on each point."""
-        return k.normal_forces(self.points, self.history)
+        return self.points.stiffness * self.depth  # `law.normal_force`
 
     def restore(self, state: ContactState) -> None:
         """Restore the state of a contact of the same surfaces. Call `search` next. Raises CheckpointError if the state does not
@@ -139,11 +139,6 @@ class Contact(ContactState):
         """Make the next search include all bodies that own points of a mask (n,); default: all bodies."""
         for body in np.unique(self.points.owner[which]):
             self._searches[body].reach = -np.inf
-
-    def forget(self, which: np.ndarray) -> None:
-        """Delete the contact history of the points of a mask (n,): a bond has started or ceased to resist their compression."""
-        self.history[which] = new_history(1)
-        self.expire(which)
 
     def stable_dt(self, softness: float, lightest: float, body: int = 0) -> float:
         """Stable time step (s) of the springs between points of a body and nodes. softness: inverse mass of a point, 1/kg;
@@ -251,7 +246,11 @@ class Contact(ContactState):
         self._set_candidates(due, start, face)
         # faces near a point at rest can be missing here: the contact of a sub-domain ends at its rim
         rows, still = self._moving(rows, active)
-        self._project(rows, Nodes(x, x, x, active))
+        lost = np.zeros((PARTS, 2))
+        together(
+            k.project, rows, self.constants.jump, p, Nodes(x, x, x, active), self._candidates, faces, self._motion, proj, history, lost,
+        )  # fmt: skip
+        self._lose(lost)
         # the tenth of a spacing allows for surfaces that accelerate
         close = (proj.face[rows, 0] >= 0) & (proj.gap[rows, 0] < travel[p.owner[rows]] + 0.1 * p.spacing[rows])
         kept = rows[close | sheared[rows]]
@@ -298,15 +297,6 @@ class Contact(ContactState):
         np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
         return rows[~still], rows[still]
 
-    def _project(self, rows: Ints, nodes: Nodes) -> None:
-        """Project each of the points `rows` on the faces. Points that lie too deep lose their contact."""
-        lost = np.zeros((PARTS, 2))
-        together(
-            k.project, rows, self.constants.jump, self.points, nodes, self._candidates, self.faces, self._motion,
-            self._projections, self.history, lost,
-        )  # fmt: skip
-        self._lose(lost)
-
     # ---- forces --------------------------------------------------------------------------------------------------
 
     def forces(self, dt: float, nodes: Nodes) -> None:
@@ -336,17 +326,17 @@ class Contact(ContactState):
         rows = rows[self._projections.face[rows, 0] >= 0]
         return rows, self._projections.face[rows, 0]
 
-    def springs(self) -> SpringTable:
+    def springs(self) -> Links:
         """Table of the contact springs that can act before the next search: each joins a point's node to the nodes of the closest
         face, and, where the point lies in a second body, to the nodes of the closest face of that body."""
         p, proj = self.points, self._projections
         body, found = np.nonzero(proj.face[self.rows].T >= 0)
         rows = self.rows[found]
         corners = self.faces["nodes"][proj.face[rows, body]]
-        return SpringTable.of(p.node[rows], corners, proj.foot[rows, body], p.stiffness[rows])
+        return Links.of(p.node[rows], corners, proj.foot[rows, body], p.stiffness[rows])
 
     def load(self, size: int) -> Floats:
-        """Row sums (size,) N/m of the stiffness matrix of all springs that can act before the next search, see `Bond.load`."""
+        """Row sums (size,) N/m of the stiffness matrix of all springs that can act before the next search, see `Links.load`."""
         load, rows, k_2 = np.zeros(size), self.rows, 2.0 * self.points.stiffness
         for body in np.unique(self.points.owner[rows]):
             own = slice(self.bounds[body], self.bounds[body + 1])

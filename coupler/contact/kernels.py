@@ -227,15 +227,6 @@ def _normal(p: Floats, A: Floats, B: Floats, C: Floats, foot: Floats, gap: float
     return n0 * scale, n1 * scale, n2 * scale
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _add_pair(f_point: Floats, f_node: Floats, i: int, t: Ints, w: Floats, f0: float, f1: float, f2: float) -> None:
-    """Add a force (N) to point i, and the opposite force to the nodes t of a triangle with the weights w."""
-    add(f_point, i, f0, f1, f2)
-    add(f_node, t[0], -w[0] * f0, -w[0] * f1, -w[0] * f2)
-    add(f_node, t[1], -w[1] * f0, -w[1] * f1, -w[1] * f2)
-    add(f_node, t[2], -w[2] * f0, -w[2] * f1, -w[2] * f2)
-
-
 @njit(cache=True, nogil=True)
 def _friction(
     i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History,
@@ -367,7 +358,10 @@ def contact_forces(
                 if body == 0:
                     for corner in range(3):
                         add(nodes.f, t[corner], m[corner, 0], m[corner, 1], m[corner, 2])
-                _add_pair(points.f, nodes.f, i, t, proj.foot[i, body], f[body, 0], f[body, 1], f[body, 2])
+                add(points.f, i, f[body, 0], f[body, 1], f[body, 2])
+                for corner in range(3):
+                    w = -proj.foot[i, body, corner]
+                    add(nodes.f, t[corner], w * f[body, 0], w * f[body, 1], w * f[body, 2])
 
 
 @njit(cache=True, nogil=True)
@@ -379,15 +373,6 @@ def energy(points: Points, history: Histories) -> float:
         total += stored(k, h.depth[0], _squared(h))
         total += stored(k, h.depth[1], 0.0)
     return total
-
-
-@njit(cache=True, nogil=True)
-def normal_forces(points: Points, history: Histories) -> Floats:
-    """Normal contact force (n,) N on each point."""
-    force = np.empty(len(history))
-    for i in range(len(history)):
-        force[i] = normal_force(points.stiffness[i], history[i].depth[0])
-    return force
 
 
 @njit(cache=True, nogil=True)

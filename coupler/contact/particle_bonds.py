@@ -1,12 +1,10 @@
 """Bonds of a particle during its impact: while it rebounds, vertices of its surface are bonded to the facets under them."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..core import safety
 from ..core.arrays import Floats, Ints
+from ..core.records import take
 from .bond import Bond
 from .bond_kernels import in_contact
 from .contact import Contact
@@ -15,23 +13,6 @@ CONTACT_RANGE = 0.1  # spacings: a point closer to the surface than this, with a
 FEWEST = 3  # bonds: with fewer the particle can turn about a point or a line
 # ratio of the energy that bonds can absorb to the energy left to break them, or its inverse, above which the end is decided
 SECURE = 4.0
-
-
-@dataclass(frozen=True)
-class BondedPoints:
-    """Bonded points (k,3) m, with strength (k,2) Pa and energy (k,2) J/m2 in normal and shear direction, and damage (k,)."""
-
-    points: np.ndarray
-    strength: np.ndarray
-    energy: np.ndarray
-    damage: np.ndarray
-
-    def near(self, points: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """For each of points (n,3) m, the index (n,) of the nearest bonded point, and whether it lies within `distance` m (n,)."""
-        if len(self.points) == 0:
-            return np.zeros(len(points), np.int64), np.zeros(len(points), bool)
-        away, index = cKDTree(self.points).query(points)
-        return index, away <= distance
 
 
 class ParticleBonds:
@@ -62,16 +43,16 @@ class ParticleBonds:
     def stable_dt(self, softness: float, mass: Floats) -> float:
         """Stable time step (s) of the springs between points and nodes. softness: inverse mass of a point, 1/kg; mass (N,) kg: mass
         of the nodes."""
-        sums = self.bond.row_sums()
+        sums = self.bond.springs().row_sums()
         point = float(np.bincount(self.bond.nodes, sums[:, 0]).max(initial=0.0))
         node = np.bincount(self.bond.triangles.ravel(), sums[:, 1:].ravel(), len(mass)) / mass
         omega2 = max(point * softness, float(node.max()))
         return safety.BONDS * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
-    def bonded_points(self, xp: np.ndarray) -> BondedPoints:
-        """The points with unbroken springs, with the strength, energy and damage of each. xp: as in `forces`."""
-        b, whole = self.bond, ~self.bond.broken
-        return BondedPoints(xp[b.nodes[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
+    def unbroken(self, xp: np.ndarray) -> tuple[np.ndarray, Bond]:
+        """Positions (k,3) m of the points with unbroken springs, and the bonds of these springs. xp: as in `forces`."""
+        whole = take(self.bond, ~self.bond.broken)
+        return xp[whole.nodes], whole
 
     @property
     def resistance(self) -> float:

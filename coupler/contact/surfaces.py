@@ -59,13 +59,9 @@ class Surfaces:
     @cached_property
     def body_of_node(self) -> np.ndarray:
         """Body (n,) of each node, up to the surface node with the largest number; -1 for inner nodes."""
-        owner = np.full(self._nodes, -1)
+        owner = np.full(int(self.facets.max(initial=-1)) + 1, -1)
         owner[self.facets] = self.body[:, None]
         return owner
-
-    @cached_property
-    def _nodes(self) -> int:
-        return int(self.facets.max(initial=-1)) + 1
 
     def nodes_of(self, *bodies: int) -> np.ndarray:
         """Numbers of the surface nodes of these bodies, ascending."""
@@ -73,7 +69,7 @@ class Surfaces:
 
     def corners_of(self, ids: np.ndarray) -> np.ndarray:
         """Numbers of the nodes of the facets `ids`, ascending."""
-        return occurring(self.facets[ids], self._nodes)
+        return occurring(self.facets[ids], len(self.body_of_node))
 
     def spacing(self, x: np.ndarray, body: int) -> float:
         """Edge length (m) of an equilateral triangle with the mean area of a body's facets."""

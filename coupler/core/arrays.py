@@ -1,5 +1,6 @@
 """Types of arrays and of small matrices in the kernels."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,19 +26,35 @@ def occurring(ids: Ints, n: int) -> NDArray[np.int64]:
     return np.flatnonzero(has)
 
 
-class SpringTable(NamedTuple):
-    """Springs between nodes and points on triangles. ends (k,4): node and corners of the triangle. weights (k,4): 1, then the negative
-    barycentric coordinates; the weighted sum of positions is the distance vector. stiffness (k,) N/m: largest over all directions."""
+class Links(NamedTuple):
+    """Springs or thermal contacts between nodes and points on triangles. ends (k,4): node and corners of the triangle. weights (k,4):
+    1, then the negative barycentric coordinates; the weighted sum of positions is the distance vector. strength (k,): stiffness of a
+    spring, the largest over all directions, N/m; conductance of a contact for a conductivity of 1, m."""
 
     ends: Ints
     weights: Floats
-    stiffness: Floats
+    strength: Floats
 
     @classmethod
-    def of(cls, nodes: Ints, triangles: Ints, weights: Floats, stiffness: Floats) -> "SpringTable":
-        """Table of springs between nodes (k,) and points on triangles (k,3). weights (k,3): barycentric coordinates of the points."""
+    def of(cls, nodes: Ints, triangles: Ints, weights: Floats, strength: Floats) -> "Links":
+        """Links between nodes (k,) and points on triangles (k,3). weights (k,3): barycentric coordinates of the points."""
         return cls(
             np.concatenate([nodes[:, None], triangles], axis=1),
             np.concatenate([np.ones((len(nodes), 1)), -weights], axis=1),
-            stiffness,
+            strength,
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence["Links"]) -> "Links":
+        """One table of several, or of none."""
+        none = cls(np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0))
+        return cls(*map(np.concatenate, zip(none, *parts, strict=True)))
+
+    def row_sums(self) -> Floats:
+        """Row sums (k,4) of the matrix of each link, in the order of its ends."""
+        share = np.abs(self.weights)
+        return self.strength[:, None] * share * (1.0 + share[:, 1:].sum(axis=1))[:, None]
+
+    def load(self, size: int) -> Floats:
+        """Row sums (size,) of the matrix of all links: the largest row sum / mass is a bound on omega^2 (Gershgorin)."""
+        return np.asarray(np.bincount(self.ends.ravel(), self.row_sums().ravel(), size), float)

@@ -93,7 +93,7 @@ def _with_splat(plan: Plan, i: int, impact: Impact, place: Point) -> tuple[Bodie
         )
         for b in splat.bodies
     ]  # fmt: skip
-    bonded = bonds.bonded_points(domains.surface.contacts(particle.x)) if bonds is not None else None
+    bonded = bonds.unbroken(domains.surface.contacts(particle.x)) if bonds is not None else None
     ratio = plan.impacts[i].velocity_ratio
     own = plan.impacts[i].material
     kept = np.concatenate([body.cloud_index for body in splat.bodies])

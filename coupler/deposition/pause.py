@@ -12,8 +12,9 @@ import numpy as np
 
 from ..contact.overlap import overlaps
 from ..contact.surfaces import earlier_neighbours, interface
-from ..fe.conductances import Links
-from ..fe.cooling import Film, cool
+from ..core.arrays import Links
+from ..fe.conductances import LINK_RESISTANCE
+from ..fe.cooling import cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
 from ..fe.model import Elements
@@ -51,8 +52,8 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
-    before, taken, film = t.elements.T.copy(), t.elements.eps_recovered.copy(), _film(bodies, plan.surface_heat)
-    cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, film, _recovery(plan, bodies))
+    before, taken, gas = t.elements.T.copy(), t.elements.eps_recovered.copy(), _gas(bodies, plan.surface_heat)
+    cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, gas, _recovery(plan, bodies))
     conducted = clock.perf_counter()
     softer = t.elements.eps_recovered - taken > _SOFTER * t.elements.eps_p
     changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
@@ -203,14 +204,15 @@ def _links(bodies: Bodies, size: float) -> list[Links]:
     reach = NEAR * size
     near = earlier_neighbours(surfaces, x, reach)
     contacts = [interface(surfaces, x, body, reach, near[body]) for body in range(1, bodies.count) if near[body]]
-    return [Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts if len(c.nodes)]
+    return [Links.of(c.nodes, surfaces.facets[c.facet], c.weights, np.sqrt(c.area) / LINK_RESISTANCE) for c in contacts]
 
 
-def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:
-    """Heat transfer from the jet to all surfaces that are reachable from above. heat: heat transfer coefficient (W/(m2 K)) and gas
-    temperature (K); None if there is no jet."""
+def _gas(bodies: Bodies, heat: tuple[float, float] | None) -> tuple[np.ndarray, float] | None:
+    """Conductance (n,) W/K from the jet to each node of the surfaces that are reachable from above, and temperature (K) of the jet.
+    heat: heat transfer coefficient (W/(m2 K)) and gas temperature; None if there is no jet."""
     if heat is None:
         return None
     t = bodies.target
     facets = t.mesh.facets[np.setdiff1d(bodies.reachable(), t.mesh.sets["sides"])]
-    return Film(facets.ravel(), np.repeat(areas(t.nodes.x, facets) / 3.0, 3), *heat)
+    conductance = heat[0] * np.repeat(areas(t.nodes.x, facets) / 3.0, 3)
+    return np.bincount(facets.ravel(), conductance, len(t.nodes.x)), heat[1]

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ..compiling import njit
-from ..core.arrays import Bools, Floats, Ints, Laws, SpringTable, occurring
+from ..core.arrays import Bools, Floats, Ints, Laws, Links, occurring
 from ..core.threads import share
 from ..geometry.products import times_rows
 from .blocks import edge_cofactors
@@ -95,7 +95,7 @@ def _stiffness(
 class CoarseGrid:
     """Coarse grid that covers the active part of a target."""
 
-    def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
+    def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[Links] = ()):
         """free (n,) bool: nodes that can move; mass (n,) kg; dt (s): stable time step with these masses; links: springs between
         bodies."""
         n, m = t.active_nodes, t.active_elements
@@ -119,8 +119,7 @@ class CoarseGrid:
         stiff = sparse.bsr_array((A[row, column], column, starts), shape=(3 * g, 3 * g)).tocsr()
         stiff = stiff + stiff.T + _of_half_space(P, t)
         if links:
-            springs = SpringTable(*map(np.concatenate, zip(*links, strict=True)))
-            stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
+            stiff = stiff + sparse.kron(_between(P, Links.joined(links)), sparse.eye_array(3), format="csr")
         heavy = sparse.kron(self._PT @ P.multiply(mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
         alone = sparse.diags_array(np.full(3 * g, ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
@@ -150,7 +149,7 @@ def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, weights
 
 
-def _between(P: sparse.csr_array, springs: SpringTable) -> sparse.csr_array:
+def _between(P: sparse.csr_array, springs: Links) -> sparse.csr_array:
     """Stiffness matrix (g,g) N/m of springs between bodies for displacements of the grid, equal in all directions. It is 0 for
     springs whose ends move together: most springs, except at the edge of the free nodes and after a slip."""
     n, (ends, weights, stiffness) = P.shape[0], springs

@@ -3,7 +3,6 @@
 Elements and links conduct in the same way, between each pair of four nodes. Threads share the rows of the matrix.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,28 +10,18 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..compiling import njit
-from ..core.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints, Links
 from ..core.threads import share
+from ..geometry.graph import around
 from ..physics.constitutive import conductivity
 from .blocks import edge_cofactors
 from .heat import LEAST
-from .mesh import around
 from .model import Cells, Metals
 
-LINK_RESISTANCE = 0.03  # of a link of perfect contact over that of an element: 0.01 takes 1.5 times as many iterations
+# of a link of perfect contact, over that of an element of the size of its area: 0.01 takes 1.5 times as many iterations
+LINK_RESISTANCE = 0.03
 FIRST, SECOND = np.triu_indices(4, 1)  # corners of the six pairs of four nodes
 PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # number of the pair of two corners
-
-
-@dataclass(frozen=True)
-class Links:
-    """Perfect thermal contact between bodies: nodes (k,), each linked to a point with barycentric coordinates weights (k,3) on a
-    triangle (k,3), over an area (k,) m2."""
-
-    nodes: np.ndarray
-    triangles: np.ndarray
-    weights: np.ndarray
-    area: np.ndarray
 
 
 class Conductors(NamedTuple):
@@ -59,16 +48,11 @@ class Conductances:
     indices: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray, c: Cells, links: Sequence[Links], from_gas: np.ndarray) -> "Conductances":
+    def of(cls, x: np.ndarray, c: Cells, links: Links, from_gas: np.ndarray) -> "Conductances":
         """Conductances of elements c with nodes at x (n,3) m, of links between bodies, and from the gas."""
-        n, m = len(x), len(c.conn)
-        ends = [np.concatenate([link.nodes[:, None], link.triangles], axis=1) for link in links]
-        conn = np.concatenate([np.zeros((0, 4), np.int32), *ends]).astype(np.int32)
-        # conductance k sqrt(area) / LINK_RESISTANCE times d d^T
-        area = np.concatenate([np.zeros(0), *(link.area for link in links)])
-        weights = np.concatenate([np.zeros((0, 3)), *(link.weights for link in links)])
-        d = np.concatenate([np.ones((len(conn), 1)), -weights], axis=1)  # value at the node less value at its point
-        between = -d[:, FIRST] * d[:, SECOND] * (np.sqrt(area) / LINK_RESISTANCE)[:, None]
+        n, m, d = len(x), len(c.conn), links.weights
+        conn = links.ends.astype(np.int32)
+        between = -d[:, FIRST] * d[:, SECOND] * links.strength[:, None]  # of the conductance strength d d^T
         of_elements = Conductors(c.conn, np.empty((m, 6)), c.start, c.table, np.empty((4 * m, 4), np.int16))
         of_links = Conductors(conn, between, *around(conn, n), np.empty((4 * len(conn), 4), np.int16))
         share(lambda lo, hi: _between_corners(lo, hi, x, c.conn, of_elements.w), m, LEAST)

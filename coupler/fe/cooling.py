@@ -8,14 +8,14 @@ spread over all nodes.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Links
 from ..core.threads import share
 from ..errors import SolverError
 from ..geometry.products import solve, times
-from .conductances import Conductances, Links, levels
+from .conductances import Conductances, levels
 from .explicit import Target
 from .heat import LEAST, gains, means, shares, take_heat
 from .model import Elements
@@ -28,26 +28,16 @@ FIRST_STEP = 0.1  # first step over the shortest time constant of an element
 CG_TOLERANCE = 3e-4
 
 
-@dataclass(frozen=True)
-class Film:
-    """Heat transfer between a gas and a surface. nodes (k,): nodes of the surface; area (k,) m2: area of each node; coefficient: heat
-    transfer coefficient, W/(m2 K); T: temperature of the gas, K."""
-
-    nodes: np.ndarray
-    area: np.ndarray
-    coefficient: float
-    T: float
-
-
 def cool(
-    target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (), film: Film | None = None,
-    recover: Callable[[float], None] = lambda _: None,
+    target: Target, time: float, fixed: np.ndarray, fixed_T: float, links: Sequence[Links] = (),
+    gas: tuple[np.ndarray, float] | None = None, recover: Callable[[float], None] = lambda _: None,
 ) -> dict[str, float]:  # fmt: skip
     """Conduct heat for `time` s in a target at rest. T, sigma_y and ledger change at once, pressures in the next step of the target.
 
-    fixed: nodes at the constant temperature fixed_T, K; all other faces are adiabatic, except those with the film. recover(s): called
-    before and after each step with half its time. Returns the number of steps, the largest and the mean temperature before and after
-    (K), and the heat (J) that has left through fixed nodes and the gas. Raises SolverError when the linear solver does not converge.
+    fixed: nodes at the constant temperature fixed_T, K; links: thermal contacts; gas: conductance (n,) W/K from a gas to each node, and
+    temperature (K) of the gas; all other faces are adiabatic. recover(s): called before and after each step with half its time.
+    Returns the number of steps, the largest and the mean temperature before and after (K), and the heat (J) that has left through
+    fixed nodes and the gas. Raises SolverError when the linear solver does not converge.
     """
     t = target
     n, m = len(t.nodes.x), len(t.mesh.conn)
@@ -77,11 +67,8 @@ def cool(
     before = _extremes(t)
     share(carry, m, LEAST)
     T = nodal(t.elements.T)
-    from_gas = np.zeros(n)  # W/K
-    if film is not None:
-        from_gas += np.bincount(film.nodes, film.coefficient * film.area, n)
-    T_gas = film.T if film is not None else 0.0
-    matrix = Conductances.of(t.nodes.x, t.cells, links, from_gas)
+    from_gas, T_gas = gas or (np.zeros(n), 0.0)
+    matrix = Conductances.of(t.nodes.x, t.cells, Links.joined(links), from_gas)
     dt, left, steps, taken = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
     while left > 0.0:

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 
 from ..core import safety
-from ..core.arrays import occurring
+from ..core.arrays import Links, occurring
 from ..core.loops import PARTS
 from ..core.records import Shape, check_indices, copied, new_rows, put, unfit
 from ..core.threads import share, together
@@ -24,9 +24,9 @@ from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, ConductionState, take_heat
 from .inertia import ElementInertia, InertiaState, step_for
-from .mesh import TetMesh, cells_of, inverted
+from .mesh import TetMesh, cells_of
 from .model import Active, Elements, Metals, Nodes
-from .stability import FrequencyState, HighestFrequency, Springs
+from .stability import FrequencyState, HighestFrequency
 from .state import Balance, EdgeState, ElementState, NodeState
 from .window import UNDISTURBED, Edge, outside
 
@@ -196,13 +196,8 @@ class Target(TargetState):
         elements = int(self.mesh.reach_element.searchsorted(min(reach, self.horizon, self.limit)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
-    @property
-    def most_nodes(self) -> int:
-        """Number of nodes inside the window, which is the largest possible number of active nodes."""
-        return self._active_counts(np.inf)[0]
-
     def active_after(self, time: float) -> int:
-        """Number of active nodes after another `time` s: those that the wave front has reached."""
+        """Number of active nodes after another `time` s: those that the wave front has reached; np.inf: all in the window."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
@@ -212,7 +207,7 @@ class Target(TargetState):
         if m < len(distance) and distance[m] < min(self.reach, self.horizon, self.limit):
             self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
-    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> float:
+    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Links | None = None) -> float:
         """Largest stable time step, s, with safety factors and damping.
 
         enough (s): if the safe bound of the elements is shorter than this, the sharper limit of the whole mesh is computed
@@ -266,7 +261,7 @@ class Target(TargetState):
         )  # fmt: skip
         flipped, plastic, viscous, heat = sums.sum(axis=0).tolist()
         if flipped:
-            raise SolverError(inverted(self))
+            raise SolverError(_inverted(self))
         self.balance.plastic += plastic
         self.balance.numerical += viscous
         self.balance.heat += heat
@@ -436,3 +431,14 @@ class Target(TargetState):
 
         share(fill, len(sigma), LEAST_ELEMENTS)
         return sigma
+
+
+def _inverted(t: Target) -> str:
+    """Error message about the element of a target with the most negative volume."""
+    e = int(np.argmin(t.elements.volume[: t.active_elements]))
+    x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
+    body = int(t.law_of[e])  # each body has its own law; bodies after the first are splats
+    within = f", in splat{body}," if body else ""
+    remedy = "another [splat] method or a finer preset" if body else "a larger resolution.element_size"
+    at = f"t = {t.balance.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um"
+    return f"element {e} of the target{within} inverted at {at}: try {remedy}"

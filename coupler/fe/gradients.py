@@ -54,10 +54,9 @@ def _grow(m: int, grown: Floats, x: Floats, c: Cells, at_node: Floats, share: Fl
             x[n1, 0] - x[n0, 0], x[n2, 0] - x[n0, 0], x[n3, 0] - x[n0, 0], x[n1, 1] - x[n0, 1], x[n2, 1] - x[n0, 1],
             x[n3, 1] - x[n0, 1], x[n1, 2] - x[n0, 2], x[n2, 2] - x[n0, 2], x[n3, 2] - x[n0, 2],
         )  # fmt: skip
-        F = product(edges, (b[0, 0], b[0, 1], b[0, 2], b[1, 0], b[1, 1], b[1, 2], b[2, 0], b[2, 1], b[2, 2]))
-        g0 = d1 * b[0, 0] + d2 * b[1, 0] + d3 * b[2, 0]
-        g1 = d1 * b[0, 1] + d2 * b[1, 1] + d3 * b[2, 1]
-        g2 = d1 * b[0, 2] + d2 * b[1, 2] + d3 * b[2, 2]
+        B = b[0, 0], b[0, 1], b[0, 2], b[1, 0], b[1, 1], b[1, 2], b[2, 0], b[2, 1], b[2, 2]
+        F = product(edges, B)
+        g0, g1, g2 = applied(transposed(B), d1, d2, d3)
         back, _ = inverse(product(transposed(polar(F)), F))
         g0, g1, g2 = applied(back, g0, g1, g2)
         add(eps_gradient, e, g0, g1, g2)

@@ -11,7 +11,7 @@ Faces are adiabatic.
 
 from dataclasses import dataclass
 from math import ceil
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from ..core.records import Shape
 from ..core.threads import together
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .blocks import edge_cofactors
-from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
+
+if TYPE_CHECKING:
+    from .explicit import Target
 
 EVERY = 10  # mechanical steps per step of conduction: about the stable step of conduction in copper, far less than it in steel
 LEAST = 4000  # elements or nodes in a range of a loop that threads share
@@ -71,7 +73,7 @@ class Conduction(ConductionState):
         share, rate, own, gain, flow = *np.zeros((4, m)), np.zeros((m, 4))
         self.arrays = Flow(share, rate, flow, own, gain, self.last, self.capacity, self.T, np.zeros(n), np.zeros(n))
 
-    def advance(self, dt: float, t: FiniteElements) -> None:
+    def advance(self, dt: float, t: "Target") -> None:
         """Count a mechanical step of dt (s). Every EVERY steps, conduct heat over the time since the last conduction."""
         self.elapsed += dt
         self.steps += 1
@@ -79,7 +81,7 @@ class Conduction(ConductionState):
             self.conduct_for(self.elapsed, t)
             self.elapsed = 0.0
 
-    def conduct_for(self, time: float, t: FiniteElements) -> None:
+    def conduct_for(self, time: float, t: "Target") -> None:
         """Conduct heat among the active elements for `time` s, in stable steps; their boundary is adiabatic.
 
         Changes T, sigma_y and heat of the elements of t.
@@ -94,7 +96,7 @@ class Conduction(ConductionState):
             together(_level, n, m, dt, t.cells, t.metals, Elements.of(t.elements), self.arrays)
             left = left - dt if left > 1.5 * dt else 0.0
 
-    def _sync_nodes(self, t: FiniteElements) -> None:
+    def _sync_nodes(self, t: "Target") -> None:
         """Raise the temperatures of the nodes by the rise of their elements since the last call."""
         n, m, a, known = t.active_nodes, t.active_elements, self.arrays, self.known_elements
         a.own[:known] = t.elements.T[:known] - self.last[:known]
@@ -108,7 +110,7 @@ class Conduction(ConductionState):
             self.known |= fresh
             self.known_elements = m
 
-    def flows(self, t: FiniteElements) -> float:
+    def flows(self, t: "Target") -> float:
         """Write the heat flow between nodes to arrays.flow, W. Returns the fastest rate of an element, 1/s."""
         fastest = np.zeros(PARTS)
         m, volume = t.active_elements, t.elements.volume
@@ -135,7 +137,12 @@ def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elem
         shares(lo, hi, c, metals, elements.T, a.share)
     for lo, hi, _ in ranges(team, 1, n, LEAST):
         means(lo, hi, c, a.share, a.own, a.capacity, a.mean)
-        changes(lo, hi, dt, c, a)
+        for i in range(lo, hi):  # rise of each node, by its elements and by the heat flow
+            heat = 0.0
+            for r in range(c.start[i], c.start[i + 1]):
+                heat += a.flow[c.table[r] >> 2, c.table[r] & 3]
+            a.change[i] = a.mean[i] + dt * heat / a.capacity[i] if a.capacity[i] > 0.0 else 0.0
+            a.T[i] += a.change[i]
     for lo, hi, _ in ranges(team, 2, m, LEAST):
         gains(lo, hi, c.conn, a.share, a.change, a.own, a.gain)
         take_heat(lo, hi, a.gain, c, metals, elements)
@@ -192,18 +199,6 @@ def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Meta
             rate[e] = 0.25 * weight * trace / a.share[e]
             largest = max(largest, rate[e])
         fastest[part] = largest
-
-
-@njit(cache=True, nogil=True)
-def changes(lo: int, hi: int, dt: float, c: Cells, a: Flow) -> None:
-    """Write the rise of temperature of each node over dt (s) to a.change (n,) K, and add it to a.T (n,): a.mean (n,) K and heat
-    flow."""
-    for i in range(lo, hi):
-        heat = 0.0
-        for r in range(c.start[i], c.start[i + 1]):
-            heat += a.flow[c.table[r] >> 2, c.table[r] & 3]
-        a.change[i] = a.mean[i] + dt * heat / a.capacity[i] if a.capacity[i] > 0.0 else 0.0
-        a.T[i] += a.change[i]
 
 
 @njit(cache=True, nogil=True)

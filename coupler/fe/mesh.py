@@ -1,17 +1,17 @@
 """The mesh of the target, with gradients, volumes and facets from scikit-fem."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
 from ..core.records import Shape
 from ..errors import SolverError
+from ..geometry.graph import around
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
-from .model import Cells, Metals
-from .state import Balance, ElementState, NodeState
+from .model import Cells
 
 UPWARDS = 0.25  # of the unit normal of a facet: a flank of 75 degrees
 
@@ -37,24 +37,6 @@ class TetMesh:
     reach_node: Annotated[np.ndarray, Shape(-1)]
     reach_element: Annotated[np.ndarray, Shape(-1)]
     axis: Annotated[np.ndarray, Shape(2)] = field(default_factory=lambda: np.zeros(2))
-
-
-class FiniteElements(Protocol):
-    """Attributes of `fe.explicit.Target` that its parts use. They are described there."""
-
-    mesh: TetMesh
-    laws: np.ndarray
-    law_of: np.ndarray
-    cells: Cells
-    metals: Metals
-    nodes: NodeState
-    elements: ElementState
-    mass: np.ndarray
-    inv_mass: np.ndarray
-    dt_of: np.ndarray
-    balance: Balance
-    active_nodes: int
-    active_elements: int
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:
@@ -103,14 +85,6 @@ def prepare_ordered(
     return prepared, order, by_reach
 
 
-def around(conn: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """start (n+1,) and table (4m,) of `Cells` for elements (m,4) of n nodes. Elements around a node are ascending: sums have one
-    order."""
-    flat, start = conn.ravel(), np.zeros(n + 1, np.int64)
-    np.cumsum(np.bincount(flat, minlength=n), out=start[1:])
-    return start, np.argsort(flat, kind="stable").astype(np.int32)
-
-
 def cells_of(mesh: TetMesh) -> Cells:
     """The arrays of a mesh as arguments of kernels."""
     return Cells(mesh.conn, mesh.B, mesh.V0, mesh.node_volume, *around(mesh.conn, len(mesh.points)))
@@ -123,14 +97,3 @@ def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]
     steep = normal[:, 2] / np.linalg.norm(normal, axis=1)
     top, bottom = steep > UPWARDS, steep < -UPWARDS
     return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
-
-
-def inverted(t: FiniteElements) -> str:
-    """Error message about the element of a target with the most negative volume."""
-    e = int(np.argmin(t.elements.volume[: t.active_elements]))
-    x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
-    body = int(t.law_of[e])  # each body has its own law; bodies after the first are splats
-    within = f", in splat{body}," if body else ""
-    remedy = "another [splat] method or a finer preset" if body else "a larger resolution.element_size"
-    at = f"t = {t.balance.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um"
-    return f"element {e} of the target{within} inverted at {at}: try {remedy}"

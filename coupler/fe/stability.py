@@ -7,13 +7,13 @@ steps can be missed: therefore a safety factor is applied, and the step is at mo
 """
 
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from ..compiling import njit
 from ..core import safety
-from ..core.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints, Links
 from ..core.loops import ranges
 from ..core.records import Shape, copied, put, unfit
 from ..core.threads import share, together
@@ -22,8 +22,10 @@ from ..physics.constitutive import bulk_stiffness
 from .blocks import edge_cofactors
 from .inertia import ElementInertia
 from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
-from .mesh import FiniteElements
 from .model import Cells, Metals
+
+if TYPE_CHECKING:
+    from .explicit import Target
 
 PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
@@ -138,7 +140,24 @@ def _respond(team: Ints, n: int, inverse: Floats, r: Response) -> None:
         _square(lo, hi, r.w, r.square)
 
 
-def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
+@njit(cache=True, nogil=True)
+def resist(springs: Links, w: Floats, active: int, f: Floats) -> None:
+    """Add the product of the stiffness matrix of springs and a small motion w (n,3) m to f (n,3) N. Rows of w from `active` on are
+    zero."""
+    for i in range(len(springs.ends)):
+        a, weight = springs.ends[i], springs.weights[i]
+        if min(a[0], a[1], a[2], a[3]) >= active:
+            continue
+        for d in range(3):
+            pull = 0.0
+            for j in range(4):
+                pull += weight[j] * w[a[j], d]
+            pull *= springs.strength[i]
+            for j in range(4):
+                f[a[j], d] += weight[j] * pull
+
+
+def masses_for(t: "Target", dt: float) -> np.ndarray:
     """Masses (n,) kg of the nodes with which the bound of every element is dt (s): the mass of each element is multiplied by
     (dt / its own step)^2."""
     conn = t.mesh.conn
@@ -156,15 +175,6 @@ class FrequencyState:
     random: dict[str, object]
     warm: bool = False
     known: int = 0
-
-
-class Springs(Protocol):
-    """Springs between nodes. load(size): row sums (size,) N/m of their stiffness matrix; resist(w, f, active): add the product of
-    the matrix and the motion w (n,3) to f (n,3); only the first `active` rows of w are not zero."""
-
-    def load(self, size: int) -> np.ndarray: ...
-
-    def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None: ...
 
 
 class HighestFrequency(FrequencyState):
@@ -193,7 +203,7 @@ class HighestFrequency(FrequencyState):
             raise unfit("its random numbers are not valid") from error
 
     def longest_step(
-        self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None,
+        self, t: "Target", bound: float, n: int, m: int, springs: Links | None = None,
         inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> float:  # fmt: skip
         """Stable time step (s), without damping, of the first n nodes and m elements of a `Target`. bound (s): safe bound of the
@@ -224,7 +234,7 @@ class HighestFrequency(FrequencyState):
             together(_resist, n, m, scale, inverse, t.nodes.x, t.nodes.J, t.cells, t.metals, self._r)
             before = float(mass @ square) + inertia.twice_kinetic(w)
             if springs is not None:
-                springs.resist(self._r.w, f, n)
+                resist(springs, self._r.w, n, f)
             inertia.slow(f)
             together(_respond, n, inverse, self._r)
             after = float(mass @ square) + inertia.twice_kinetic(w)

@@ -145,7 +145,7 @@ class Machine:
         self.bond = _bonds(block, np.argsort(order), t, film)
         self.relaxation = r = Relaxation(t, np.inf, MASSES)
         r.weigh(HighestFrequency(len(mesh.points), len(mesh.conn)), MASSES)
-        r.add_mass(0.25 * r.dt**2 * _turning(self.bond, mesh.points).load(len(mesh.points)))
+        r.add_mass(0.25 * r.dt**2 * _turning(self.bond, mesh.points).springs().load(len(mesh.points)))
         self.area, self.away = block.volume / self.length, mesh.points - middle
         at = self.away[:, axis] / self.length
         self.lower, self.upper = np.flatnonzero(at < -0.5 + 1e-9), np.flatnonzero(at > 0.5 - 1e-9)

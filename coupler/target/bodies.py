@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..contact import broad
 from ..contact.bodies import BodyContact, BodyContactState, ContactPast
 from ..contact.bond import Bond, penalty
 from ..contact.model import new_history
 from ..contact.overlap import lying_inside
-from ..contact.particle_bonds import BondedPoints
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
-from ..core.arrays import SpringTable, occurring
+from ..core.arrays import Links, occurring
 from ..core.records import Shape, check_indices, copied, unfit
 from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
@@ -131,10 +131,10 @@ class Bodies:
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable time step (s) of the target with the springs between its bodies. enough, ahead: see `Target.stable_dt`."""
         t = self.target
-        dt = t.stable_dt(enough, ahead, self.bond)
-        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.most_nodes)
+        dt = t.stable_dt(enough, ahead, self.bond.springs() if self.bond is not None else None)
+        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.active_after(np.inf))
 
-    def springs(self) -> list[SpringTable]:
+    def springs(self) -> list[Links]:
         """Tables of the springs of bonds and contact between the bodies. Call `search` first."""
         pairs = self.contact.pairs if self.contact is not None else None
         return [each.springs() for each in (pairs, self.bond) if each is not None]
@@ -221,12 +221,12 @@ class Bodies:
 
     def joined(
         self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: Point, ratio: float | None, impact: int,
-        bonded: BondedPoints | None = None, partners: np.ndarray | None = None,
+        bonded: tuple[np.ndarray, Bond] | None = None, partners: np.ndarray | None = None,
     ) -> "Bodies":  # fmt: skip
         """These bodies together with the finished splats of an impact, bonded by `adhesion`. Nodes are numbered outwards from origin
         (m). size (m): size of the elements; ratio: impact velocity divided by critical velocity; impact: number of the impact;
-        bonded: points that are bonded at the end of the impact, if bonds act in the impact (`Adhesion.in_impact`). partners: mask of
-        all bodies, the new ones included, to which the splats can bond, default all.
+        bonded: positions (k,3) m of the points that are bonded at the end of the impact, and their bonds, if bonds act in the impact
+        (`Adhesion.in_impact`). partners: mask of all bodies, the new ones included, to which the splats can bond, default all.
 
         The surfaces of the splats are fitted to those under them, so that contact starts without force. The result is not yet in
         equilibrium (`equilibrium.settle`). Raises SolverError when a splat cannot be fitted.
@@ -257,10 +257,14 @@ class Bodies:
                 if chosen.any():
                     bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
             elif bonded is not None:
-                row, chosen = bonded.near(x[contact_pairs.nodes], size)
-                chosen &= contact_pairs.area > 0.0
+                row, chosen = np.zeros(len(contact_pairs.nodes), np.int64), contact_pairs.area > 0.0
+                if len(bonded[0]):
+                    away, row = cKDTree(bonded[0]).query(x[contact_pairs.nodes])
+                    chosen &= away <= size
                 if chosen.any():
-                    bonds.append(_taken_over(bonded, row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
+                    bonds.append(
+                        _taken_over(bonded[1], row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness)
+                    )
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         past = self.past()
@@ -383,9 +387,9 @@ def _bonded(pairs: Interface, surfaces: Surfaces, target: Target, law: Adhesion,
 
 
 def _taken_over(
-    bonded: BondedPoints, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
+    bonded: Bond, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
-    """Bonds at an interface (n rows) that continue the laws and the damage of the bonded points `row` (n,)."""
+    """Bonds at an interface (n rows) that continue the laws and the damage of the bonds `row` (n,)."""
     (strength, shear_strength), (energy, shear_energy) = bonded.strength[row].T, bonded.energy[row].T
     law = {"strength": strength, "energy": energy, "shear_strength": shear_strength, "shear_energy": shear_energy}
     bond = Bond.between(where, surfaces, x, stiffness, **law)

@@ -160,8 +160,9 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
     """
     relaxation.weigh(highest, RELAX_STEP)
     n, share_of = len(bodies.target.nodes.x), 0.25 * relaxation.dt * relaxation.dt
-    pairs = bodies.contact.pairs if bodies.contact is not None else None
-    loads = [springs.load(n) for springs in (bodies.bond, pairs) if springs is not None]
+    bond, contact = bodies.bond, bodies.contact
+    springs = [bond.springs() if bond is not None else None, contact.pairs if contact is not None else None]
+    loads = [each.load(n) for each in springs if each is not None]
     for load in (*loads, bodies.target.foundation_load()):
         relaxation.add_mass(share_of * load)
 

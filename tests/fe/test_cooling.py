@@ -7,10 +7,11 @@ import pytest
 from blocks import join
 from conftest import elastic
 
+from coupler.core.arrays import Links
 from coupler.core.threads import threads_of
 from coupler.fe import mesh as meshes
-from coupler.fe.conductances import Links
-from coupler.fe.cooling import Film, cool
+from coupler.fe.conductances import LINK_RESISTANCE
+from coupler.fe.cooling import cool
 from coupler.fe.explicit import Target
 from coupler.fe.heat import LEAST
 from coupler.geometry import mesher
@@ -82,12 +83,11 @@ def test_two_bodies_level_out_through_their_contact() -> None:
     t = Target(m, laws, np.where(body == 1, 600.0, 300.0), law_of=body, fixed=())
     foot = np.unique(m.facets[m.sets["b.bottom"]])
     links = _links(m, foot, m.facets[m.sets["a.top"]].astype(np.int64))
-    assert links.area.sum() == pytest.approx(1.0)
+    assert (LINK_RESISTANCE**2 * links.strength**2).sum() == pytest.approx(1.0)  # the area
     tau = 0.05 / ALPHA
     # a node without area, such as one whose facets have no height: it carries nothing
-    empty = Links(
-        m.facets[m.sets["b.top"]][:1, 0].astype(np.int64), links.triangles[:1], links.weights[:1], np.zeros(1)
-    )
+    top = m.facets[m.sets["b.top"]][:1, :1].astype(np.int64)
+    empty = Links(np.concatenate([top, links.ends[:1, 1:]], axis=1), links.weights[:1], np.zeros(1))
     cool(t, tau, NONE, 0.0, [links, empty])
     means = [float(np.average(t.elements.T[body == i], weights=m.V0[body == i])) for i in (0, 1)]
     assert sum(means) == pytest.approx(900.0, rel=1e-9)
@@ -104,7 +104,7 @@ def test_a_jet_heats_a_small_body_as_one_lump() -> None:
     size = 0.5 * np.linalg.norm(np.cross(*(m.points[top[:, i]] - m.points[top[:, 0]] for i in (1, 2))), axis=1)
     h = 0.02 * K
     time = 0.7 * RHO * CP / h  # volume over area is 1 m
-    report = cool(t, time, NONE, 0.0, film=Film(top.ravel(), np.repeat(size / 3, 3), h, 500.0))
+    report = cool(t, time, NONE, 0.0, gas=(h * np.bincount(top.ravel(), np.repeat(size / 3, 3), len(m.points)), 500.0))
     assert float(np.average(t.elements.T, weights=m.V0)) == pytest.approx(500.0 - 200.0 * np.exp(-0.7), abs=2.0)
     assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.elements.T - 300.0)), rel=1e-8)
 
@@ -139,4 +139,4 @@ def _links(m: meshes.TetMesh, nodes: np.ndarray, triangles: np.ndarray) -> Links
     own = m.facets[m.sets["b.bottom"]]
     size = 0.5 * np.linalg.norm(np.cross(*(m.points[own[:, i]] - m.points[own[:, 0]] for i in (1, 2))), axis=1)
     area = np.bincount(own.ravel(), np.repeat(size / 3, 3), len(m.points))[nodes]
-    return Links(nodes.astype(np.int64), np.array(found), np.array(weights), area)
+    return Links.of(nodes.astype(np.int64), np.array(found), np.array(weights), np.sqrt(area) / LINK_RESISTANCE)
