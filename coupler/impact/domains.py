@@ -154,7 +154,7 @@ def build_domains(
             level = level_under(body.vertices + offset, x, mesh.facets[facets]) - body.half_height
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
     parallel.begin_impact(ranks, i, place, numerics or {})
-    local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
+    local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.sph_comm is not None else None
     particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
     softer = min(impact_plan.material.K, float(target.laws["K"].min()))

@@ -51,10 +51,6 @@ class Ranks:
     def is_root(self) -> bool:
         return self.rank == self.root
 
-    @property
-    def has_points(self) -> bool:
-        return self.rank in self.sph
-
 
 def arrange() -> Ranks:
     """The roles of this process and of all others that mpiexec started.
