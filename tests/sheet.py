@@ -1,13 +1,14 @@
 """A square sheet of points bonded to two facets: what the tests of bonds in an impact and of verdicts share."""
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from coupler.contact.bond import Bond
 from coupler.contact.contact import Contact
 from coupler.contact.law import stiffness
 from coupler.contact.model import Nodes
 from coupler.contact.particle_bonds import ParticleBonds
-from coupler.geometry.triangles import rings
+from coupler.geometry.triangles import edges
 
 STRENGTH, ENERGY, SHEAR = 4e8, 50.0, 20.0  # Pa, J/m2, J/m2 in shear
 STIFFNESS, SIDE = 1e17, 4e-6
@@ -28,7 +29,9 @@ class Sheet:
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
         bond = Bond.tie(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law)
-        self.bonds = ParticleBonds(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
+        one_way = edges(np.concatenate([lower, upper]))
+        ends = np.concatenate([one_way, one_way[:, ::-1]]).T
+        self.bonds = ParticleBonds(bond, csr_matrix((np.ones(ends.shape[1]), ends), shape=(n * n, n * n)))
         k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
         self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)

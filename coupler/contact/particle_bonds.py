@@ -1,9 +1,10 @@
 """Bonds of a particle during its impact: while it rebounds, vertices of its surface are bonded to the facets under them."""
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..core import safety
-from ..core.arrays import Floats, Ints
+from ..core.arrays import Floats
 from ..core.records import take
 from .bond import Bond
 from .bond_kernels import in_contact
@@ -23,13 +24,11 @@ class ParticleBonds:
     as bonds between bodies do.
     """
 
-    def __init__(self, bond: Bond, start: Ints, ring: Ints):
-        """start (v+1,), ring: neighbours of the v points of the surface, ring[start[i]:start[i + 1]] of point i."""
-        self.bond, rows = bond, bond.nodes
+    def __init__(self, bond: Bond, beside: csr_matrix):
+        """beside (v,k): has an entry in row i for each of the k contact nodes that is a neighbour of point i of the surface."""
+        self.bond, near = bond, beside[bond.nodes]
         bond.loose[:] = True
-        count = start[rows + 1] - start[rows]
-        first = np.concatenate([[0], np.cumsum(count)])
-        self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[rows] - first[:-1], count)]
+        self._ring = near.indptr.astype(np.int64), near.indices.astype(np.int64)
 
     def forces(self, xp: Floats, x: Floats, f_point: Floats, f_node: Floats, contact: Contact | None = None) -> None:
         """Add the forces at positions xp and x to f_point (like xp) and f_node (like x), N, and update the damage. contact: between

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from scipy.sparse import hstack
+from scipy.sparse import csr_matrix, hstack
 
 from ..contact.bond import Bond
 from ..contact.contact import ContactState
@@ -83,11 +83,10 @@ class Impact(Course):
         self.dt_factor = 1.0
 
     @cached_property
-    def _rings(self) -> tuple[np.ndarray, np.ndarray]:
-        """For each vertex of the particle's surface (CSR arrays), the neighbouring contact nodes: adjacent vertices and the points
-        under it."""
-        beside = hstack([self.surface.neighbours, self.surface.under], format="csr")
-        return beside.indptr.astype(np.int64), beside.indices.astype(np.int64)
+    def _beside(self) -> csr_matrix:
+        """Matrix with an entry, in the row of each vertex of the particle's surface, for each neighbouring contact node: adjacent
+        vertices and the points under it."""
+        return hstack([self.surface.neighbours, self.surface.under], format="csr")
 
     @property
     def sinking(self) -> float:
@@ -208,7 +207,7 @@ class Impact(Course):
             again = self.exposure.extruding[self.bonds.bond.nodes]
             if again.any():
                 self.bonds.bond.drop(again)
-                self.bonds = ParticleBonds(self.bonds.bond, *self._rings)
+                self.bonds = ParticleBonds(self.bonds.bond, self._beside)
         chosen = touching.pressed
         if self.bonds is not None:
             chosen &= ~np.isin(touching.rows, self.bonds.bond.nodes)
@@ -230,7 +229,7 @@ class Impact(Course):
             metals = metals_of(plan, self.bodies)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
         later = Bond.tie(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
-        self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), *self._rings)
+        self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), self._beside)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
         """Mask (k,) of the touching vertices that meet the adhesion criterion. Of the strains of both sides, the larger counts."""
@@ -276,4 +275,4 @@ class Impact(Course):
             raise unfit("the surface of the particle has another number of vertices")
         if state.bonds is not None:
             check_indices(state.bonds, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
-            self.bonds = ParticleBonds(state.bonds, *self._rings)
+            self.bonds = ParticleBonds(state.bonds, self._beside)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from blocks import cubes
-from scipy.sparse import identity
+from scipy.sparse import csr_matrix, identity
 from sheet import ENERGY, FACETS, SHEAR, SIDE, SQUARE, STIFFNESS, STRENGTH, Sheet
 
 from coupler.contact.bond import Bond
@@ -17,7 +17,8 @@ from coupler.physics.constitutive import heat_capacities
 
 def alone(bond: Bond) -> ParticleBonds:
     """Bonds of points that have no neighbours."""
-    return ParticleBonds(bond, np.zeros(int(bond.nodes.max(initial=0)) + 2, int), np.zeros(0, int))
+    points = int(bond.nodes.max(initial=0)) + 1
+    return ParticleBonds(bond, csr_matrix((points, points)))
 
 
 def patch(pull: float, energy: float = np.inf) -> tuple[ParticleBonds, np.ndarray, np.ndarray]:
