@@ -97,7 +97,7 @@ class Blocks:
         t, steps, dt = self.target, 0, 0.0
         while t.time < until * (1 - 1e-12):
             if steps % 10 == 0:
-                dt = alone = min(t.stable_dt(springs=self.bond), limit)
+                dt = alone = min(t.stable_dt(springs=None if self.bond is None else self.bond.springs()), limit)
                 if self.contact is not None:
                     fastest = float(np.linalg.norm(t.nodes.v, axis=1).max())
                     self.contact.search(t.nodes.x, 15 * fastest * dt, self.bond)
