@@ -7,6 +7,7 @@ ranks exchange F, Q and the plastic strain of these points with fixed lists. No 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -43,6 +44,7 @@ class CompiledParticle(Particle):
     PAIR = "pair_compiled.lmp"
     POINTS: ClassVar[type[PointState]] = CompiledPoints
     points: CompiledPoints
+    _passes: ClassVar[ModuleType] = k
     _residuals: Residuals | None = None
 
     def _start_engine(self) -> None:
@@ -155,9 +157,10 @@ class CompiledParticle(Particle):
 
     def _update_stress(self) -> None:
         failed, m, d = self._failed, self._motion, self._deformation
+        residuals = () if self._residuals is None else (self._residuals,)
         try:
-            of_points = self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._residuals
-            together(k.stress_of_all, self.n, failed, of_points)
+            of_points = self.dt, self._special, self._scheme, self._sides, m, d, self._state, *residuals
+            together(self._passes.stress_of_all, self.n, failed, of_points)
         finally:
             if self.comm.size > 1:
                 self._skip_step()
@@ -166,8 +169,8 @@ class CompiledParticle(Particle):
             reason = DISTORTED if np.isfinite(self.points.J[point]) else UNDEFINED_STRESS
             raise SolverError(self._failure(reason, point))
         is_last, force = self._steps_left == 0, self._force
-        of_pairs = self.dt, is_last, self._scheme, self._pairs, m, d, self._losses, self._residuals, force
-        together(k.forces_of_all, self.n, of_pairs, (self._sides, force, self.points.f))
+        of_pairs = self.dt, is_last, self._scheme, self._pairs, m, d, self._losses, *residuals, force
+        together(self._passes.forces_of_all, self.n, of_pairs, (self._sides, force, self.points.f))
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. If the gradient of plastic strain hardens the metal, the plastic strain of the chunk of steps is added

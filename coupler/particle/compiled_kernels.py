@@ -1,5 +1,4 @@
-"""Two passes of total-Lagrangian SPH, compiled: stress of each point, then forces of each pair. They have MACHDYN's form, or residuals
-in place of its hourglass control (`particle.enriched`): numba compiles them for either case, `Residuals` or None.
+"""Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then forces of each pair.
 
 The letters are those of the equations (Ganzenmueller 2015, Comput. Methods Appl. Mech. Eng. 286, 87-106): X, x reference and
 present positions; V volume; g_ij = w K^-1 (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i|, K = sum_j w (X_j - X_i) (x) (X_j -
@@ -23,13 +22,12 @@ from ..geometry.matrix_kernels import (
     matrix_of,
     polar,
     product,
-    sum_of,
     transposed,
     write_matrix,
 )  # fmt: skip
 from ..geometry.vector_kernels import add, apart, dot, vector_of
 from ..physics.constitutive import Law, harden, hugoniot_pressure, mie_gruneisen, norm, on
-from .model import Deformation, Losses, Motion, Pairs, Residuals, Scheme, Sides, State
+from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides, State
 
 LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
 TURNED = 1e-14  # rad: with a smaller correction the rotation is exact to rounding
@@ -39,7 +37,6 @@ J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
 PLASTIC = 1e-3  # effective plastic strain of LAMMPS above which MACHDYN's hourglass control is viscous
 LEAST_ERROR = 0.05  # smallest hourglass error in the viscous control
 SLOW = 0.01  # largest closing velocity in the viscosity, over the wave speed
-ACROSS = 10.0 / 9.0  # stiffness of a residual over G: mean over directions of 1 across a pair and 4/3 along it
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
@@ -151,109 +148,33 @@ def write_stress(stress: Floats, i: int, S: Symmetric, mean: float) -> Symmetric
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _strain_residuals(
-    i: int, s: Sides, m: Motion, F: Matrix, R: Matrix, plastic: Floats, residual: Floats
-) -> tuple[float, float]:
-    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of point i to rows of residual, m.
-
-    Returns sum w e^2 / sum w r^2, and sum w r^2 (1/m3).
-    """
-    total = span = 0.0
-    for k in range(s.first[i], s.first[i + 1]):
-        X0, X1, X2 = apart(m.X, i, s.neighbour[k])
-        x0, x1, x2 = apart(m.x, i, s.neighbour[k])
-        d0 = x0 - F[0] * X0 - F[1] * X1 - F[2] * X2
-        d1 = x1 - F[3] * X0 - F[4] * X1 - F[5] * X2
-        d2 = x2 - F[6] * X0 - F[7] * X1 - F[8] * X2
-        e0 = R[0] * d0 + R[3] * d1 + R[6] * d2 - plastic[k, 0]
-        e1 = R[1] * d0 + R[4] * d1 + R[7] * d2 - plastic[k, 1]
-        e2 = R[2] * d0 + R[5] * d1 + R[8] * d2 - plastic[k, 2]
-        residual[k, 0], residual[k, 1], residual[k, 2] = e0, e1, e2
-        total += s.w[k] * (e0 * e0 + e1 * e1 + e2 * e2)
-        span += s.w[k] * (X0 * X0 + X1 * X1 + X2 * X2)
-    return total / span, span
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _residual_forces(
-    i: int, s: Sides, X: Floats, R: Matrix, back: float, stiffness: float, plastic: Floats, residual: Floats
-) -> tuple[Matrix, float, float, float]:
-    """Return the elastic residuals of point i by the factor `back` of the deviator, and compute their forces.
-
-    plastic: plastic residuals, updated; residual: trial residuals in m, replaced by forces stiffness w R e in N. Returns
-    sum f (x) (X_j - X_i), which is minus the derivative of their energy by F, and the moment sum e_p x f of the unrotated forces.
-    """
-    H = ZERO
-    t0 = t1 = t2 = 0.0
-    for k in range(s.first[i], s.first[i + 1]):
-        e0, e1, e2 = vector_of(residual, k)
-        p0, p1, p2 = (
-            plastic[k, 0] + (1.0 - back) * e0,
-            plastic[k, 1] + (1.0 - back) * e1,
-            plastic[k, 2] + (1.0 - back) * e2,
-        )
-        plastic[k, 0], plastic[k, 1], plastic[k, 2] = p0, p1, p2
-        c = stiffness * s.w[k] * back
-        e0, e1, e2 = c * e0, c * e1, c * e2
-        t0 += p1 * e2 - p2 * e1
-        t1 += p2 * e0 - p0 * e2
-        t2 += p0 * e1 - p1 * e0
-        f = applied(R, e0, e1, e2)
-        residual[k, 0], residual[k, 1], residual[k, 2] = f
-        H = add_outer(H, f, apart(X, i, s.neighbour[k]))
-    return H, t0, t1, t2
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, sides: Sides, m: Motion, d: Deformation, state: State,
-    r: Residuals | None,
-) -> int:  # fmt: skip
+    lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, sides: Sides, m: Motion, d: Deformation, state: State
+) -> int:
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
-    Q receives -V J R sigma U^-1, and with residuals r the term that balances their forces. A point fails if J leaves [J_MIN, J_MAX].
-    The deviator returns to the yield stress of the last step, and the thermal pressure lags by one step, as in MACHDYN. Without
-    residuals the strain increment follows from v. With them it follows from U at n and n+1, and deviator and residuals form one yield
-    condition and return to it by one factor.
+    Q receives -V J R sigma U^-1. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator returns to the yield stress
+    of the last step, and the thermal pressure lags by one step.
     """
     failed = -1
     for i in range(lo, hi):
-        law = laws[state.law_of[i]]
-        F, F_n, R_n = gradient_of(i, sides, m.x), matrix_of(d.F, i), matrix_of(d.R, i)
-        R, U = rotation(F, R_n)
+        law, F = laws[state.law_of[i]], gradient_of(i, sides, m.x)
+        R, U = rotation(F, matrix_of(d.R, i))
         B, J = inverse(U)
         if not J_MIN <= J <= J_MAX and failed < 0:
             failed = i
         write_matrix(d.F, i, F)
         write_matrix(d.R, i, R)
-        c = -scheme.V * J
-        if r is None:
-            # rate of deformation in the unrotated frame, D = sym(R^T Fdot B) = sym(Udot B)
-            D = product(product(transposed(R), gradient_of(i, sides, m.v)), B)
-            S = trial(state.stress, i, 2.0 * law.G * dt, D)
-            S, _, deps = flow(i, law, S, squared(S), state.sigma_y)
-        else:
-            # dt Udot B at n+1/2 is (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2; the last term has no deviator
-            both, _ = inverse(sum_of(U, product(transposed(R_n), F_n)))
-            S = trial(state.stress, i, 8.0 * law.G, product(U, both))
-            unseen, span = _strain_residuals(i, sides, m, F, R, r.plastic, r.force)
-            square = squared(S) + 2.0 * ACROSS * law.G * law.G * unseen
-            S, back, deps = flow(i, law, S, square, state.sigma_y)
-            r.unseen[i] = 0.5 * ACROSS * law.G * back * back * unseen
+        # rate of deformation in the unrotated frame, D = sym(R^T Fdot B) = sym(Udot B)
+        D = product(product(transposed(R), gradient_of(i, sides, m.v)), B)
+        S = trial(state.stress, i, 2.0 * law.G * dt, D)
+        S, _, deps = flow(i, law, S, squared(S), state.sigma_y)
         d.effective[i] = state.sigma_y[i] / scheme.H + deps
         mean = harden_and_press(i, dt, law, J, deps, state)
         xx, xy, xz, yy, yz, zz = write_stress(state.stress, i, S, mean)
-        if r is None:
-            P = product(product(R, (xx, xy, xz, xy, yy, yz, xz, yz, zz)), B)
-            for k in range(9):
-                d.Q[i, k] = c * P[k]
-        else:
-            stiffness = scheme.V * ACROSS * law.G / span
-            H, t0, t1, t2 = _residual_forces(i, sides, m.X, R, back, stiffness, r.plastic, r.force)
-            t0, t1, t2 = 0.5 * t0 / c, 0.5 * t1 / c, 0.5 * t2 / c  # a skew stress that balances their moment
-            P = product(product(R, (xx, xy - t2, xz + t1, xy + t2, yy, yz - t0, xz - t1, yz + t0, zz)), B)
-            for k in range(9):
-                d.Q[i, k] = c * P[k] + H[k]
+        P = product(product(R, (xx, xy, xz, xy, yy, yz, xz, yz, zz)), B)
+        for k in range(9):
+            d.Q[i, k] = -scheme.V * J * P[k]
     return failed
 
 
@@ -306,40 +227,32 @@ def lose(k: int, kind: int, dt: float, strength: float, before: float, now: floa
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def pair_forces(
-    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses,
-    residuals: Residuals | None, force: Floats,
+    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses, force: Floats,
 ) -> None:  # fmt: skip
     """Pass 2: the force on the first point of each pair, force (m,3) N; the force on the second point is opposite.
 
-    f = Q_j g_ji - Q_i g_ij + the forces of the residuals of both sides + viscosity along x_j - x_i. Without residuals the hourglass
-    control takes their place. It acts along x_j - x_i too, and its error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last
-    step of a chunk, whose forces also act in the half step after it.
+    f = Q_j g_ji - Q_i g_ij + viscosity + hourglass control, the last two along x_j - x_i. The hourglass error is
+    (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half step after it.
     """
     for k in range(lo, hi):
         i, j = p.points[k, 0], p.points[k, 1]
         x, v = apart(m.x, i, j), apart(m.v, i, j)
         r = sqrt(dot(x, x))
-        of_residuals = (0.0, 0.0, 0.0) if residuals is None else apart(residuals.force, p.sides[k, 1], p.sides[k, 0])
-        f = stress_force(k, i, j, p.gradient, d.Q, of_residuals)
-        a, mu = viscosity(scheme, p, k, r, dot(x, v))
+        viscous, mu = viscosity(scheme, p, k, r, dot(x, v))
+        X0, X1, X2 = apart(m.X, i, j)
+        e = (
+            0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2) - x[0],
+            0.5 * ((d.F[i, 3] + d.F[j, 3]) * X0 + (d.F[i, 4] + d.F[j, 4]) * X1 + (d.F[i, 5] + d.F[j, 5]) * X2) - x[1],
+            0.5 * ((d.F[i, 6] + d.F[j, 6]) * X0 + (d.F[i, 7] + d.F[j, 7]) * X1 + (d.F[i, 8] + d.F[j, 8]) * X2) - x[2],
+        )
+        is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
+        control = hourglass(scheme, p, k, r, x, e, is_plastic, mu)
         per_length = 1.0 / (r + 0.01 * scheme.h)
-        a *= per_length
+        viscous, control = viscous * per_length, control * per_length
         before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
-        lose(k, 0, dt, a, before, now, losses)
-        if residuals is None:
-            X0, X1, X2 = apart(m.X, i, j)
-            e = (
-                0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2)
-                - x[0],
-                0.5 * ((d.F[i, 3] + d.F[j, 3]) * X0 + (d.F[i, 4] + d.F[j, 4]) * X1 + (d.F[i, 5] + d.F[j, 5]) * X2)
-                - x[1],
-                0.5 * ((d.F[i, 6] + d.F[j, 6]) * X0 + (d.F[i, 7] + d.F[j, 7]) * X1 + (d.F[i, 8] + d.F[j, 8]) * X2)
-                - x[2],
-            )
-            is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
-            control = hourglass(scheme, p, k, r, x, e, is_plastic, mu) * per_length
-            lose(k, 1, dt, control, before, now, losses)
-            a += control
+        lose(k, 0, dt, viscous, before, now, losses)
+        lose(k, 1, dt, control, before, now, losses)
+        f, a = stress_force(k, i, j, p.gradient, d.Q, (0.0, 0.0, 0.0)), viscous + control
         force[k, 0], force[k, 1], force[k, 2] = f[0] + a * x[0], f[1] + a * x[1], f[2] + a * x[2]
 
 

@@ -17,7 +17,8 @@ energy of elastic waves.
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Annotated
+from types import ModuleType
+from typing import Annotated, ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -26,6 +27,7 @@ from ..core import safety
 from ..core.records import Rows
 from ..core.threads import share, together
 from ..errors import SolverError
+from . import enriched_kernels
 from . import frequency as k
 from .compiled import CompiledParticle, CompiledPoints
 from .inertia import CellInertia
@@ -57,6 +59,7 @@ class EnrichedParticle(CompiledParticle):
 
     POINTS = EnrichedPoints
     points: EnrichedPoints
+    _passes: ClassVar[ModuleType] = enriched_kernels
     _residuals: Residuals
 
     def _start_engine(self) -> None:

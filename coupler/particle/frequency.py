@@ -17,7 +17,8 @@ from ..geometry.matrix_kernels import ZERO, add_outer, applied, inverse, matrix_
 from ..geometry.vector_kernels import apart, dot
 from ..physics.constitutive import bulk_stiffness
 from . import compiled_kernels as k
-from .compiled_kernels import ACROSS, gradient_of, stress_force
+from .compiled_kernels import gradient_of, stress_force
+from .enriched_kernels import ACROSS
 from .model import Pairs, Sides
 
 FIRST, NEXT = 40, 4  # iterations from a random vector, and from the vector of the last chunk of steps

@@ -269,14 +269,15 @@ def test_a_rank_that_raises_ends_all(
 def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) -> None:
     """Ranks that share the particle exchange between the passes of each step: the one that fails goes on with that."""
     patch = """
-    from coupler.particle import compiled_kernels as k
+    from coupler.particle import compiled_kernels, enriched_kernels  # that of the retry, and that of the first attempt
     def failing(good, calls):
         def bad(team, n, failed, of_points):
             calls.append(good(team, n, failed, of_points))
             if len(calls) > 20:
                 failed[0] = 3
         return bad
-    k.stress_of_all = failing(k.stress_of_all, [])
+    for k in (compiled_kernels, enriched_kernels):
+        k.stress_of_all = failing(k.stress_of_all, [])
 """
     scene = tmp_path / "short.toml"
     scene.write_text(SHORT)
