@@ -158,7 +158,7 @@ def remake(arguments: argparse.Namespace) -> str:
 
 def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:
     """Return a function that prints a line to a standard stream. With `quiet` the function does nothing."""
-    return lambda text: None if quiet else print(text, file=getattr(sys, to), flush=True)
+    return lambda text: None if quiet else print(text, file=vars(sys)[to], flush=True)
 
 
 def add_quiet(option: Option) -> None:

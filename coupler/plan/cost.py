@@ -154,23 +154,17 @@ def expected_time(
 
 
 def time_step(
-    spacing: float,
-    wave_speed: float,
-    load: tuple[float, float],
-    points: float,
-    angle: float,
-    engine: str,
-    slenderness: float = 1.0,
+    spacing: float, wave_speed: float, load: tuple[float, float], points: float, angle: float, engine: str, tall: float
 ) -> float:
     """Mean time step of an impact until rest, s. Deformation of the particle decreases the step. spacing (m); wave_speed (m/s);
-    points: number of points of a sphere of the same size; slenderness: height divided by the diameter of the sphere of equal volume;
+    points: number of points of a sphere of the same size; tall: height divided by the diameter of the sphere of equal volume;
     load, angle: as in `expected_time`."""
     (a, b), (c, d), (e, f) = STEP_FIT
     pressed = math.cos(angle) * (math.cos(angle) + SHEARED * math.sin(angle))
     alone = ((load[0] - load[1]) / sum(load)) ** 2
     excess = a * (pressed * load[0]) ** b * (1.0 + load[0]) ** (e * alone) + c * (pressed * load[1]) ** d
     excess *= (points / 1000.0) ** (f * alone)
-    return spacing / wave_speed / (1.0 / CFL[engine] + excess * max(slenderness, 1.0))
+    return spacing / wave_speed / (1.0 / CFL[engine] + excess * max(tall, 1.0))
 
 
 def memory(points: float, n_elements: float) -> float:

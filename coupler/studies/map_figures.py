@@ -71,15 +71,16 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
     try:
         with reading(path.name):
             point, fit, problem = maps.best_point(rows, quantity, axes)
-            if fit is not None and len(axes) in (2, 3):
-                figure = _surfaces(rows, axes, quantity, fit)
+            surface = fit if len(axes) in (2, 3) else None
+            if surface is not None:
+                figure = _surfaces(rows, axes, quantity, surface)
             elif len(axes) > 1 and not _form_lines(maps.with_value(rows, quantity), axes):
                 figure = _plane(rows, axes, quantity)
             else:
                 figure = _lines(rows, axes, quantity)
             bases = dict.fromkeys(row["substrate"] for row in maps.with_value(rows, quantity))
-            of_band = f": {m.label}" if len(figure.axes) > 2 else ""  # panels of a surface name only axes
-            figure.suptitle(f"{rows[0]['material']} on {', '.join(bases)}{of_band}", fontsize=11)
+            of = f": {m.label}" if surface else ""  # its panels name only the axes
+            figure.suptitle(f"{rows[0]['material']} on {', '.join(bases)}{of}", fontsize=11)
             save(figure, path)
     except StoreError as error:
         return [f"{head}: no map; {error}"]

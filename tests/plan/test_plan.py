@@ -168,7 +168,7 @@ def test_a_soft_particle_on_a_hard_target_needs_small_steps_and_more_so_a_finer_
         load = estimates.loads(pair, temperatures, 500.0, 25e-6)
         for points in (1000.0, 8000.0):
             spacing = estimates.spacing(8.18e-15, round(points))
-            dt = estimates.time_step(spacing, soft.wave_speed, load, points, 0.0, "enriched")
+            dt = estimates.time_step(spacing, soft.wave_speed, load, points, 0.0, "enriched", 1.0)
             steps[name, points] = estimates.expected_time(1.0, 25e-6, 500.0, "rest", load, 0.0) / dt
     assert steps["soft on hard", 1000.0] > 2.0 * steps["hard on hard", 1000.0]
     finer = [steps[name, 8000.0] / steps[name, 1000.0] for name in ("soft on hard", "hard on hard")]
