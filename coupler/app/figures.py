@@ -52,12 +52,8 @@ def window(job: Job, powder: str) -> Figure:
     sizes = [round(1e6 * D, 1) for D in spray.diameter.tolist()]
     bar = {"title": {"text": "µm"}, "thickness": 10, "outlinewidth": 0}
     marks = {
-        "color": sizes,
-        "colorscale": "Viridis",
-        "size": 8,
-        "line": {"width": 0.5, "color": GREY},
-        "colorbar": bar,
-    }
+        "color": sizes, "colorscale": "Viridis", "size": 8, "line": {"width": 0.5, "color": GREY}, "colorbar": bar,
+    }  # fmt: skip
     cloud = charts.trace(spray.temperature, spray.velocity, f"{powder}: 25 classes of equal mass") | {"mode": "markers"}
     hover = "%{text} µm: %{y:.0f} m/s, %{x:.0f} K<extra></extra>"
     lines.append(cloud | {"marker": marks, "text": sizes, "hovertemplate": hover})

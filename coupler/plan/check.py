@@ -176,22 +176,20 @@ def _room(d: Derived) -> Iterator[Problem]:
         away = math.hypot(*particle.offset)
         room = (substrate.diameter - D - max(D, particle.width)) / 2
         if away and away > room:
-            yield (
-                (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"),
-                f"{where}.offset: at {_um(away)} from the axis, {_size(particle)} and its crater"
-                f" reach the target's edge; at most {_um(max(room, 0.0))} is possible",
-            )
+            reach = f"reach the target's edge; at most {_um(max(room, 0.0))} is possible"
+            text = f"{where}.offset: at {_um(away)} from the axis, {_size(particle)} and its crater {reach}"
+            yield (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"), text
         if gap > D:
             text = f"{where}.gap: larger than the diameter of {_size(particle)}: give a smaller gap"
             yield (f"{where}.gap", f"{where}.diameter"), text
         drift = gap * math.tan(particle.angle)  # along x during the flight over the gap
         landing = math.hypot(particle.offset[0] + drift, particle.offset[1])
         if away <= room < landing:
-            text = (
-                f"at {math.degrees(particle.angle):.3g} degrees the particle moves {_um(drift)} sideways over the gap,"
-                f" and lands {_um(landing)} from the axis, outside the target; at most"
-                f" {_um(max(room, 0.0))} is possible: give a smaller gap or a wider target"
+            moves = (
+                f"at {math.degrees(particle.angle):.3g} degrees the particle moves {_um(drift)} sideways over the gap"
             )
+            lands = f"lands {_um(landing)} from the axis, outside the target; at most {_um(max(room, 0.0))} is possible"
+            text = f"{moves}, and {lands}: give a smaller gap or a wider target"
             looked = *(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle")), "substrate.diameter"
             yield _wrong(f"{where}.gap", gap, "um", text, *looked)
         flight, limit = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
@@ -234,10 +232,8 @@ def _surface(d: Derived) -> Iterator[Problem]:
     if max(-low, high) > _HIGHEST * body.height:
         reach = f"the surface reaches from {_um(low)} to {_um(high)}"
         most = f"at most {_HIGHEST:g} of substrate.height = {text_of(body.height, 'um')} is possible"
-        yield (
-            (*shapes, "substrate.height"),
-            f"{' with '.join(shapes)}: {reach}; {most}: give less, or a higher substrate",
-        )
+        text = f"{' with '.join(shapes)}: {reach}; {most}: give less, or a higher substrate"
+        yield (*shapes, "substrate.height"), text
 
 
 def _layers(d: Derived) -> Iterator[Problem]:
@@ -285,17 +281,13 @@ def _resolution(d: Derived) -> Iterator[Problem]:
         given = f'preset = "{scene.preset}": its finest spacing next to {_size(largest)}, {spacing},'
     if d.points_of(smallest) < estimates.LEAST_POINTS:
         widest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
-        yield (
-            needs,
-            f"{given} gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed: give"
-            f" resolution.spacing, at most {_um(widest)}, or leave the smallest particles out",
-        )
+        text = f"gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed"
+        finer = f"give resolution.spacing, at most {_um(widest)}, or leave the smallest particles out"
+        yield needs, f"{given} {text}: {finer}"
     elif thinnest < estimates.LEAST_LAYERS * d.spacing:
-        yield (
-            (*needs, *_fields(scene, "shape")),
-            f"{given} is too coarse for {_um(thinnest)}, the thinnest part of this {flattest.shape}: give"
-            f" resolution.spacing, at most {_um(thinnest / estimates.LEAST_LAYERS)}",
-        )
+        text = f"is too coarse for {_um(thinnest)}, the thinnest part of this {flattest.shape}"
+        finer = f"give resolution.spacing, at most {_um(thinnest / estimates.LEAST_LAYERS)}"
+        yield (*needs, *_fields(scene, "shape")), f"{given} {text}: {finer}"
     coarsest = smallest.diameter / 4
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
         if requested is not None and requested > coarsest:
@@ -309,12 +301,11 @@ def _resolution(d: Derived) -> Iterator[Problem]:
         joined = f", {splats:.3g} of them in {len(scene.particles) - 1} splats," if splats else ""
         offsets = _fields(scene, "offset") if len(scene.particles) > 1 else ()
         sizes = ("resolution.element_size", "splat.element_size", "substrate.diameter", "substrate.height")
-        yield (
-            (*needs, *offsets, *sizes),
-            f"resolution: {d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about"
-            f" {memory / 1e9:.3g} GB of memory, but this machine has {there / 1e9:.3g} GB;"
-            " give a larger spacing and element_size, or a coarser preset",
+        needed = (
+            f"{d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about {memory / 1e9:.3g} GB"
         )
+        text = f"resolution: {needed} of memory, but this machine has {there / 1e9:.3g} GB"
+        yield (*needs, *offsets, *sizes), f"{text}; give a larger spacing and element_size, or a coarser preset"
 
 
 def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
@@ -333,11 +324,8 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
         why = f"the critical velocity of {without} is not known (no sigma_TS)"
         if d.is_on_polymer:
             why = f"no bond of metals forms on {scene.substrate.materials[0]}, a polymer"
-        yield (
-            ("adhesion.kind", "particle"),
-            f"adhesion: several particles need a law of adhesion, and {why}:"
-            ' give kind = "cohesive" with strength and energy, "tied", or "none" for no adhesion',
-        )
+        give = 'give kind = "cohesive" with strength and energy, "tied", or "none" for no adhesion'
+        yield ("adhesion.kind", "particle"), f"adhesion: several particles need a law of adhesion, and {why}: {give}"
     for pair in law.pairs:
         if unknown := [name for name in pair.metals if name not in catalogue]:
             yield ("adhesion.pair",), f"adhesion.pair: {materials.unknown(unknown[0], catalogue)}"

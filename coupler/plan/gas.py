@@ -57,11 +57,11 @@ def arrival(
     are computed together. Raises ColdsprayError; the message begins with the name of the field."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
-        limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
-        raise ColdsprayError(
+        head = (
             f"pressure = {units.rounded(conditions.pressure, 'bar')}: it accelerates {units.rounded(diameter, 'um')} of"
-            f" {material.name} to {flown.velocity:.3g} m/s; a scene needs {limits}"
         )
+        limits = f"a scene needs {_SLOWEST:g} to {_FASTEST:g} m/s"
+        raise ColdsprayError(f"{head} {material.name} to {flown.velocity:.3g} m/s; {limits}")
     arriving = {"velocity": flown.velocity, "temperature": flown.temperature}
     return {field: units.rounded(value, *_UNITS[field]) for field, value in arriving.items()}
 

@@ -55,10 +55,9 @@ class Spray:
             critical.append(np.array([each.base_critical for each in self.formula], float))
         own, *base = (np.interp(fine, self.share, self.velocity / np.maximum(factor * v, least)) for v in critical)
         erodes, reached = own >= EROSION, np.mean([ratio >= 1.0 for ratio in (own, *base)], axis=0)
-        shares = {REBOUNDS: reached == 0.0, STICKS: reached == 1.0, UNDECIDED: (reached > 0.0) & (reached < 1.0)}
-        return {fate: float(np.mean(here & ~erodes)) for fate, here in shares.items()} | {
-            ERODES: float(np.mean(erodes))
-        }
+        fates = {REBOUNDS: reached == 0.0, STICKS: reached == 1.0, UNDECIDED: (reached > 0.0) & (reached < 1.0)}
+        masks = {fate: here & ~erodes for fate, here in fates.items()} | {ERODES: erodes}
+        return {fate: float(np.mean(here)) for fate, here in masks.items()}
 
     def extremes(self, within: float) -> tuple[float, float]:
         """Two factors on the critical velocity, between 1 - within and 1 + within, that give the least and the greatest deposition
@@ -103,6 +102,6 @@ def at_impact(
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())
-    velocity, temperature = (np.array([f.velocity for f in flights]), np.array([f.temperature for f in flights]))
+    velocity, temperature = np.array([(f.velocity, f.temperature) for f in flights]).T
     formula = tuple(pair_formula(material, base, T, D) for T, D in zip(temperature, diameter, strict=True))
     return Spray(share, diameter, velocity, temperature, np.array([f.T.max() for f in flights]), formula)

@@ -75,11 +75,8 @@ class Sweep:
         (`quantile_of`). data["target"]: diameter and height of the target divided by the diameter of the particle, for a
         scene that gives no such sizes.
         """
-        problems = [
-            f"{key}: unknown key{units.nearest(key, _KEYS)}; known: {', '.join(_KEYS)}"
-            for key in data
-            if key not in _KEYS
-        ]
+        unknown = [key for key in data if key not in _KEYS]
+        problems = [f"{key}: unknown key{units.nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in unknown]
         if not {"scene", "points", "ensemble"} & data.keys() and {"particle", "coating"} & data.keys():
             raise SceneError([f"this is a scene, not the file of a sweep: run coldspray run {source}"], source)
         name = data.get("name", safe_name(source))
