@@ -149,10 +149,11 @@ class Job:
         """Each powder at impact, by name, with the critical-velocity formula for its metal and the surface of the substrate; a ceramic
         needs a metal beside it. Raises ColdsprayError as `spray`."""
         found, base = {}, self.metals[self.surface]
+        of_base = f"substrate.{'layer[1].' * bool(self.data.substrate.layer)}material"
         for name, powder in self.powders.items():
             fly = partial(scene_gas.flights, self.data.gas, self.flow, powder.flying)
             in_blend = powder.metal.is_ceramic and not self.main.metal.is_ceramic
-            made = at_impact if in_blend else partial(spray, keys=(f"{powder.key}.material", "substrate.material"))
+            made = at_impact if in_blend else partial(spray, keys=(f"{powder.key}.material", of_base))
             found[name] = made(powder.metal, base, powder.sizes, fly)
         return found
 

@@ -56,6 +56,11 @@ def test_a_fault_names_its_key_and_the_remedy(tmp_path: Path, old: str, new: str
         ('"Cu"', '"Al2O3"', "powder.material: Al2O3 is a ceramic: it makes no metallic bond"),
         ('"Al6061"', '"Al2O3"', "substrate.material: Al2O3 is a ceramic: no metallic bond forms on it"),
         ('"Al6061"', '"PEEK"', "substrate.material: PEEK is a polymer: no metallic bond forms on it"),
+        (
+            '"20 degC"',
+            '"20 degC"\nlayer = [{ material = "SiC", thickness = "9 um" }]',
+            r"substrate.layer\[1\].material: SiC is a ceramic",
+        ),
     ],
 )
 def test_a_ceramic_or_a_polymer_has_no_window(tmp_path: Path, old: str, new: str, says: str) -> None:
