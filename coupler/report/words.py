@@ -128,23 +128,15 @@ def verdict(summary: Summary) -> list[str]:
     counts = {word: sum(r.get("verdict") == word for r in records) for word in VERBS}
     if sum(counts.values()) == 0:
         return []
+    criterion = records[0].get("verdict_criterion")  # of the scene, the same for all
+    adhesion = f" (adhesion: {criterion})" if criterion else ""
     if len(records) == 1:
-        record = records[0]
-        text = _with_reason(record)
-        return [f"{text} (adhesion: {record['verdict_criterion']})" if record.get("verdict_criterion") else text]
+        return [_with_reason(records[0]) + adhesion]
     words = ", ".join(f"{n} {VERBS[word][n > 1]}" for word, n in counts.items() if n)
-    head = "; ".join([f"of {len(records)} particles {words}", *_come_off(records)])
-    criteria = list(dict.fromkeys(str(r["verdict_criterion"]) for r in records if r.get("verdict_criterion")))
-    if len(criteria) == 1:
-        head += f" (adhesion: {criteria[0]})"
+    head = "; ".join([f"of {len(records)} particles {words}", *_come_off(records)]) + adhesion
     if len(records) > MOST_VERDICTS:
         return [head, *_decided_by(records), *_closest(records)]
-    lines = []
-    for number, record in enumerate(records, 1):
-        has_own = len(criteria) > 1 and record.get("verdict_criterion")
-        own = f" (adhesion: {record['verdict_criterion']})" if has_own else ""
-        lines.append(f"particle {number} {_with_reason(record, of_several=True)}{own}")
-    return [head, *lines]
+    return [head, *(f"particle {k} {_with_reason(record, of_several=True)}" for k, record in enumerate(records, 1))]
 
 
 _WHOLE = 0.999  # share of its mass from which a splat counts as lost completely
@@ -166,12 +158,10 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
 def _bonded(record: Block) -> str:
     """Text: the bonded area of an impact, as in "; bonded area 120 µm², 98.7 µm² at the end"; "" if bonds are not computed."""
     first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
-    if not isinstance(first, int | float):
+    if first is None:
         return ""
-    if first == 0.0:
-        return "; bonded area 0 µm²"
     area = f"; bonded area {shown('bonded_area_m2', first)} µm²"
-    return area + (f", {shown('bonded_area_end_m2', last)} µm² at the end" if isinstance(last, int | float) else "")
+    return area if first == 0.0 or last is None else f"{area}, {shown('bonded_area_end_m2', last)} µm² at the end"
 
 
 def _lost_share(record: Block) -> float:
