@@ -102,7 +102,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     numbered after the existing bodies, in the order of the parts. Existing numbers do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
-    numbers: list[tuple[np.ndarray, np.ndarray]] = []  # of the nodes and facets of each part in the new full domain
+    placed, buried, before = [], [whole.buried], n
     for cut, part in parts:
         part.release_heat()
         now = domain_now(part.target, part.body)
@@ -117,27 +117,24 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
             node[splats.nodes] = n + np.arange(len(splats.nodes))
             facet[splats.facets] = facets + np.arange(len(splats.facets))
             count, n, facets = count + part.count - first, n + len(splats.nodes), facets + len(splats.facets)
-        numbers.append((node, facet))
+        covered = facet[part.buried]
+        buried.append(covered[covered >= 0])
+        # numbers of its nodes in the new full domain, and those that its impact can change
+        placed.append((cut, part, node, (node >= before) | np.isin(node, cut.nodes)))
     domain = merge(domains)[0]
-    for (cut, part), (node, _) in zip(parts, numbers, strict=True):
+    for cut, part, node, _ in placed:
         _replace(domain.nodes, part.target.nodes, cut.nodes, node)
         _replace(domain.elements, part.target.elements, cut.elements, part.target.elements.element_number)
     new = whole.remade(domain)
     new.impact = np.concatenate([whole.impact, *(part.impact[len(cut.part.bodies) :] for cut, part in parts)])
-    buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, numbers, strict=True)])
-    new.buried = np.union1d(whole.buried, buried[buried >= 0])
+    new.buried = np.unique(np.concatenate(buried))
     new.target.balance += sum((part.target.balance - cut.balance for cut, part in parts), Balance())
-    changed_parts = []  # with the mask of those nodes of each part that its impact can change
-    for (cut, part), (node, _) in zip(parts, numbers, strict=True):
-        changed = np.zeros(len(new.target.nodes.x), bool)
-        changed[cut.nodes] = changed[len(whole.target.nodes.x) :] = True
-        changed_parts.append((cut, part, node, changed[node]))
-    new.bond = _bonds(whole, changed_parts, *np.sum([_energies(part.bond) - cut.bonds for cut, part in parts], axis=0))
+    new.bond = _bonds(whole, placed, *np.sum([_energies(part.bond) - cut.bonds for cut, part in parts], axis=0))
     if new.count > 1:
         past = ContactPast(new_history(len(new.target.nodes.x)))
-        if (before := whole.past()) is not None:
-            past = before.renumbered(np.arange(len(whole.target.nodes.x)), len(new.target.nodes.x))
-        for _, part, node, mine in changed_parts:
+        if (of_whole := whole.past()) is not None:
+            past = of_whole.renumbered(np.arange(before), len(new.target.nodes.x))
+        for _, part, node, mine in placed:
             if (of_part := part.past()) is not None:
                 past.nodes[node[mine]] = of_part.nodes[mine]
         gain = sum((_sums(part) - cut.sums for cut, part in parts), ContactSums())
