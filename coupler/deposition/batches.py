@@ -120,9 +120,7 @@ def clear(folder: Path, impacts: int | None = None) -> None:
     if impacts is None:
         shutil.rmtree(folder / TASKS, ignore_errors=True)
         return
-    for own in (folder / TASKS).glob("[0-9]*"):
-        if int(own.stem) > impacts:
-            continue
+    for own in (path for path in (folder / TASKS).glob("[0-9]*") if int(path.stem) <= impacts):
         if own.is_dir():
             shutil.rmtree(own, ignore_errors=True)
         else:

@@ -75,8 +75,8 @@ class Companions:
 
     def all(self, threads: int) -> dict[int, Summary | str]:
         """The summary of each coarser run, or the reason why it failed, by its number of points."""
-        scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name) if self.plan.companions else None
-        return {n: self._one(scene, n, threads) for n in self.plan.companions if scene is not None}
+        scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name)
+        return {n: self._one(scene, n, threads) for n in self.plan.companions}
 
     def _one(self, scene: Scene, points: int, threads: int) -> Summary | str:
         folder = self.folder / FOLDER / str(points)

@@ -253,7 +253,8 @@ class Deposition:
             unwritten.write(self.store)
 
     def _save(self, target: Bodies, written: StoreState, within: TaskState | None = None) -> None:
-        state = DepositionState(target.state(), written, self.records, self.joins, self._wall, within)
+        wall = clock.perf_counter() - self._began
+        state = DepositionState(target.state(), written, self.records, self.joins, wall, within)
         checkpoint.write(self.folder, state, self._about)
 
     def _identity(self) -> dict[str, str]:
@@ -266,14 +267,10 @@ class Deposition:
 
     # ---- summary -------------------------------------------------------------------------------------------------
 
-    @property
-    def _wall(self) -> float:
-        """Wall time so far, s, including the time before a resumption."""
-        return clock.perf_counter() - self._began
-
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far. bodies: target with their splats."""
         joined = list(zip(self.plan.impacts, self.records, self.joins, strict=False))
         diameters = [impact.diameter for impact, _, _ in joined]
         standing = splats_at_end(bodies, diameters, [record.values["surface_level_m"] for _, record, _ in joined])
-        return summary(self.plan, self.records, self.joins, standing, self._wall, self.options.ranks, self.closing)
+        wall = clock.perf_counter() - self._began
+        return summary(self.plan, self.records, self.joins, standing, wall, self.options.ranks, self.closing)
