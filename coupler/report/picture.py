@@ -87,9 +87,9 @@ def phases_of(plan: Values) -> Phases | None:
     except (KeyError, TypeError, ValueError):
         return None
     names = list(dict.fromkeys([*chain(*particles), *ground]))
-    numbers = [[names.index(name) for name in pair] for pair in particles], [names.index(name) for name in ground]
-    several = len(set(chain(*particles))) > 1
-    return Phases(names, *map(np.array, numbers)) if several else None
+    if len(set(chain(*particles))) == 1:
+        return None
+    return Phases(names, np.vectorize(names.index)(particles), np.vectorize(names.index)(ground))
 
 
 @dataclass(frozen=True)
@@ -162,9 +162,8 @@ def stage(result: Result) -> Stage:
     ground = tuple(loops)
     under = [line[(line[:, 0] >= low) & (line[:, 0] <= high), 1].max(initial=-np.inf) for line in ground]
     level = max(under, default=-np.inf)
-    return Stage(
-        plane, float(level) if np.isfinite(level) else top, float(high - low), void, top, ground, phases_of(result.plan)
-    )
+    level = float(level) if np.isfinite(level) else top
+    return Stage(plane, level, float(high - low), void, top, ground, phases_of(result.plan))
 
 
 def _most_cut(plan: Values, first: float) -> float:
@@ -226,24 +225,13 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
         ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
     rim, is_substrate = surfaces_cut(target, at)
-    phases = at.phases.names if at.phases is not None else []
+    phases: Sequence[str] = ()
     if at.phases is not None:
+        phases = at.phases.names
         values[PHASE] = np.repeat(at.phases.of(target)[owner[inside], None], 4, axis=1)
     nothing = {name: np.zeros((0, 0)) for name in values}
-    return Cut(
-        target.time,
-        at.level,
-        at.ground,
-        seen,
-        [],
-        corners,
-        rim,
-        is_substrate,
-        (0.0, 1.0, 0.0, 1.0),
-        values,
-        nothing,
-        phases,
-    )
+    extent = (0.0, 1.0, 0.0, 1.0)
+    return Cut(target.time, at.level, at.ground, seen, [], corners, rim, is_substrate, extent, values, nothing, phases)
 
 
 def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
@@ -336,9 +324,9 @@ def with_phases(section: Cut, ranges: Mapping[str, Range]) -> dict[str, Range]:
     return {**({PHASE: Range(-0.5, len(section.phases) - 0.5)} if section.phases else {}), **ranges}
 
 
-def colour_of(phase: int) -> tuple[float, float, float]:
-    """Colour of a material, by its index."""
-    red, green, blue = np.minimum(BRIGHT * PHASES[phase % len(PHASES)], 1.0).tolist()
+def colour_of(phase: int, bright: float = BRIGHT) -> tuple[float, float, float]:
+    """Colour of a material, by its index. bright: brightness."""
+    red, green, blue = np.minimum(bright * PHASES[phase % len(PHASES)], 1.0).tolist()
     return red, green, blue
 
 
@@ -357,11 +345,8 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     """Draw a cross-section coloured by one field. name: key in FIELDS, or PHASE; ends: limits of its colour scale, in the displayed
     unit."""
     left, right, bottom, top = section.view
-    scale = Normalize(ends.low, ends.high)
-    if name == PHASE:
-        colours: str | Colormap = ListedColormap([colour_of(k) for k in range(len(section.phases))])
-    else:
-        colours = FIELDS[name].colours
+    scale, phases = Normalize(ends.low, ends.high), [colour_of(k) for k in range(len(section.phases))]
+    colours: str | Colormap = ListedColormap(phases) if name == PHASE else FIELDS[name].colours
     corners, values = section.corners, section.values[name]
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
     flat = corners.reshape(-1, 2)

@@ -19,23 +19,8 @@ from ..files.result import COLD, Result
 from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
-from ..report.picture import (
-    MICRO,
-    PHASES,
-    Stage,
-    blank,
-    colour_range,
-    cut,
-    cut_cold,
-    name_phases,
-    outline_of,
-    panels,
-    phases_of,
-    read,
-    save,
-    scale_bar,
-    with_phases,
-)
+from ..report import picture
+from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
 from .coating import CoatingMeasures, Growth
 from .splats import Splats
 from .table import write_rows
@@ -71,7 +56,7 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     x = np.linspace(-radius, radius, 400)
     places = np.column_stack([x, np.full(len(x), plane)])
     ground = (np.column_stack([x, splats.ground(places)]) * MICRO,)
-    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=phases_of(result.plan))
+    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=picture.phases_of(result.plan))
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
         return path
@@ -79,7 +64,7 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
     section_cut = cut(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
-    ranges = with_phases(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN})
+    ranges = picture.with_phases(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN})
     save(panels(section_cut, ranges, heading), path)
     return path
 
@@ -115,13 +100,13 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     names = splats.materials
     for number, (came, points, faces) in enumerate(_skins(splats)):
         tone = 0.45 + 0.08 * (number % 2) if came == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours differ
-        phase = PHASES[names.index(splats.material(number, came)) % len(PHASES)] if came else np.ones(3)
+        style = {"edgecolor": "0.1", "linewidth": 0.8 if came else 2.0, "facecolor": (tone, tone, tone)}
+        if came:
+            style["facecolor"] = picture.colour_of(names.index(splats.material(number, came)), tone)
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
-            outline = outline_of(loops)
-            axis.add_patch(
-                PathPatch(outline, facecolor=tuple(tone * phase), edgecolor="0.1", linewidth=0.8 if came else 2.0)
-            )
+            outline = picture.outline_of(loops)
+            axis.add_patch(PathPatch(outline, **style))
             metal |= outline.contains_points(places)
     empty, _ = ndimage.label(~metal.reshape(len(z), len(x)))
     sky = (empty > 0) & np.isin(empty, empty[-1])
@@ -129,7 +114,7 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
     scale_bar(axis, seen)
     if len(names) > 1:
-        name_phases(axis, names, loc="upper right")
+        picture.name_phases(axis, names, loc="upper right")
     save(figure, path)
     return path
 
