@@ -18,18 +18,14 @@ UP = np.array([0.0, 0.0, 1.0])
 DIRECTIONS = 8  # of the widths, over half a turn
 
 
-def extent(points: Floats, triangles: Ints, direction: Floats) -> tuple[float, float]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def extent(corners: Floats, direction: Floats) -> tuple[float, float]:
     """Both ends of a body along a direction, m. Two planes normal to the direction have SHARE of the volume between them and equal
     parts of the rest on both sides. Their distance is divided by OF_SPHERE, so that the extent of a sphere is its diameter.
 
-    points (n,3) m and triangles (m,3), outwards, of a closed surface; direction (3,), a unit vector.
+    corners (m,3,3) m: of the triangles of a closed surface, outwards; direction (3,), a unit vector. For a body without volume: the
+    limits of its corners.
     """
-    return _extent(points[triangles], direction)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _extent(corners: Floats, direction: Floats) -> tuple[float, float]:
-    """`extent` of the body whose triangles have the corners (m,3,3) m. For a body without volume: the limits of its corners."""
     height, shade = np.empty((len(corners), 3)), np.empty(len(corners))
     d = direction[0], direction[1], direction[2]
     for t in range(len(corners)):
@@ -93,13 +89,13 @@ def shape_measures(points: Floats, triangles: Ints, diameter: float) -> dict[str
     `extent`. Flattening ratios: 1 - height / D0, and in total 1 - thickness / D0. jet_length_m: largest distance of the surface outside
     the extents. points (n,3) m and triangles (m,3) of the closed surface; diameter: D0.
     """
-    corners = points[np.unique(triangles)]
-    bottom, top = extent(points, triangles, UP)
-    jet, widths = max(0.0, float(corners[:, 2].max()) - top), []
+    corners, skin = points[triangles], points[np.unique(triangles)]
+    bottom, top = extent(corners, UP)
+    jet, widths = max(0.0, float(skin[:, 2].max()) - top), []
     for angle in np.arange(DIRECTIONS) * (np.pi / DIRECTIONS):
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-        low, high = extent(points, triangles, direction)
-        along = corners @ direction
+        low, high = extent(corners, direction)
+        along = skin @ direction
         jet = max(jet, float(along.max()) - high, low - float(along.min()))
         widths.append(high - low)
     return {

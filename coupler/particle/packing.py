@@ -51,7 +51,9 @@ def fill(
     offsets is chosen: volume and second moments of the points with their cells are closest to those of the body, and outermost layers
     lie half a layer inside flat faces. Points whose deformation gradient is undefined (`_connected`) are removed.
     """
-    moments = _second_moments(inside, half)
+    middle = (np.arange(80) + 0.5) / 40 - 1.0
+    grid = np.stack(np.meshgrid(*[middle] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * np.asarray(half)
+    moments = (grid[inside(grid)] ** 2).mean(axis=0)  # mean squares of x, y and z over the body, by a midpoint rule
     best: tuple[float, np.ndarray] | None = None
     for scale in np.linspace(0.97, 1.03, 21 if points < 20000 else 9):
         spacing = scale * (volume / points) ** (1.0 / 3.0)
@@ -71,13 +73,6 @@ def fill(
     assert best is not None
     cloud = best[1] - best[1].mean(axis=0)
     return np.ascontiguousarray(cloud), volume / len(cloud)
-
-
-def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half: tuple[float, float, float]) -> np.ndarray:
-    """Mean squares (3,) m2 of x, y and z over the volume of the body, by a midpoint rule."""
-    middle = (np.arange(80) + 0.5) / 40 - 1.0
-    grid = np.stack(np.meshgrid(*[middle] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * np.asarray(half)
-    return (grid[inside(grid)] ** 2).mean(axis=0)
 
 
 def _connected(cloud: np.ndarray, spacing: float) -> np.ndarray:

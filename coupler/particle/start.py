@@ -58,7 +58,12 @@ def start(
     }  # fmt: skip
     fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
     if log is not None and comm.Get_size() == 1:
-        _check_writable(log)
+        try:  # LAMMPS gives no reason
+            log.open("a").close()
+        except OSError as error:
+            raise StoreError(
+                f"cannot write {log}: {error.strerror}; check the folder or choose another --out"
+            ) from None
     lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm)
     lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
     lmp.create_atoms(len(X), list(range(1, len(X) + 1)), [1] * len(X), X.ravel())
@@ -93,15 +98,6 @@ def whole_process() -> Iterator[None]:
     finally:
         locale.setlocale(locale.LC_NUMERIC, before)
         _computing.release()
-
-
-def _check_writable(log: Path) -> None:
-    """Raise StoreError if the log file of LAMMPS cannot be written, because LAMMPS itself gives no reason."""
-    try:
-        with open(log, "a"):
-            pass
-    except OSError as error:
-        raise StoreError(f"cannot write {log}: {error.strerror}; check the folder or choose another --out") from None
 
 
 @contextlib.contextmanager
