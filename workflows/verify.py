@@ -16,8 +16,6 @@ from coupler import Result, Scene
 from coupler.files.fields import Fields
 from coupler.files.result import COLD, DOMAINS
 from coupler.geometry.library import open3d
-from coupler.geometry.tetrahedra import boundary_faces, volumes
-from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.summary import STUCK
 from coupler.physics.materials import Material
 from coupler.plan.planning import plan
@@ -60,6 +58,19 @@ STORED = (
 )  # fmt: skip
 
 
+def tetrahedra_volumes(points: Array, cells: NDArray[np.int64]) -> Array:
+    """(m,) m3, negative where inverted. points (n,3) m, cells (m,4)."""
+    a, b, c, d = (points[cells[:, k]] for k in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def enclosed_volume(points: Array, triangles: NDArray[np.int64]) -> float:
+    """Volume (m3) inside a closed surface, by the divergence theorem. points (n,3) m, triangles (m,3)."""
+    p = points - points.mean(axis=0)
+    a, b, c = (p[triangles[:, k]] for k in range(3))
+    return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0
+
+
 def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.99, levels: int = 3000) -> float:
     """Distance (m) of two horizontal planes with this share of a closed body between them, half of the rest beyond each, over what it
     is of a sphere of diameter 1: 0.9172 for 0.99. The volume is the sum of the areas of horizontal sections."""
@@ -80,6 +91,13 @@ def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.9
     return float(high - low) / 0.9172
 
 
+def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Faces (k,3) of tetrahedra (m,4) that belong to one of them only."""
+    faces = np.concatenate([cells[:, [1, 2, 3]], cells[:, [0, 2, 3]], cells[:, [0, 1, 3]], cells[:, [0, 1, 2]]])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
 def depths(points: Array, nodes: Array, cells: NDArray[np.int64], near: int = 64) -> Array:
     """Depth (k,) m of points (k,3) inside tetrahedra (m,4) of nodes (n,3), below their boundary; 0 outside."""
     corners = nodes[cells]
@@ -92,7 +110,7 @@ def depths(points: Array, nodes: Array, cells: NDArray[np.int64], near: int = 64
     depth = np.zeros(len(points))
     if inside.any():
         surface = open3d().t.geometry.RaycastingScene(nthreads=1)
-        surface.add_triangles(np.float32(nodes / LENGTH), np.uint32(boundary_faces(cells)[0]))
+        surface.add_triangles(np.float32(nodes / LENGTH), np.uint32(boundary_faces(cells)))
         depth[inside] = LENGTH * surface.compute_distance(np.float32(points[inside] / LENGTH), nthreads=1).numpy()
     return depth
 
@@ -170,7 +188,7 @@ def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
     on these faces are now those that lie nearest.
     """
     substrate, x = scene.substrate, untouched.points
-    faces = boundary_faces(untouched.cells)[0]
+    faces = boundary_faces(untouched.cells)
     corners = x[faces]
     cut = np.zeros(len(faces), bool)
     for name, on in (
@@ -280,7 +298,7 @@ def splat_volumes(scene: Scene, target: Fields, volume: Array, joins: list[dict[
 def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
     """The bodies after the closing stage: at ambient, within the yield stress, of their mass."""
     f = result.fields(-1, COLD)
-    volume, body = volumes(f.points, f.cells), f.data["body"].astype(int)
+    volume, body = tetrahedra_volumes(f.points, f.cells), f.data["body"].astype(int)
     for name, data in {"points": f.points, **f.data}.items():
         found.fault(not np.all(np.isfinite(data)), f"cold: {name} is not a number")
     found.fault(volume.min() <= 0.0, "cold: an element is inverted")
@@ -331,7 +349,7 @@ class _ImpactCheck:
         self.bodies, self.joins = bodies_of(scene, self.last["target"]), joins
         self.untouched, self.number = untouched, i + 1
         self.body = self.last["target"].data["body"].astype(int)
-        self.volumes = [volumes(f["target"].points, f["target"].cells) for f in instants]
+        self.volumes = [tetrahedra_volumes(f["target"].points, f["target"].cells) for f in instants]
 
     def hold(self, name: str, number: float, limit: float, text: str) -> None:
         self.found.hold(name, number, limit, f"{self.where}: {text}")
@@ -384,7 +402,7 @@ class _ImpactCheck:
         least = min(v.min() for v in self.volumes)
         self.found.fault(least <= 0.0, f"{self.where}: an element of the target is inverted")
         inside = self.last["surface"]
-        closed = abs(enclosed_volume(inside.points, inside.cells)) / self.p.volume
+        closed = enclosed_volume(inside.points, inside.cells) / self.p.volume
         data = self.last["particle"].data
         J = np.mean(volume_ratios(self.metal, mean_pressure(data["stress"]), data["T"], self.p.temperature))
         enlarged = 1.0 / (1.0 - self.p.porosity) - 1.0  # pores lie inside the outer surface

@@ -1,4 +1,4 @@
-"""Read the fields of a domain at one time from a VTKHDF file. A damaged or malicious one cannot open another file or fill memory."""
+"""Read the fields of a domain at one time from a VTKHDF file. A damaged file cannot open another one or fill memory."""
 
 import math
 from collections.abc import Iterator
@@ -113,7 +113,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
-    """One stored step of a file. times: of all its steps. Of a name at points and in cells, the values at points."""
+    """One stored step of a file. times: of all its steps. A name at points and in cells gets the values at points."""
     points, cells, point_data, cell_data = read_arrays(root, step)
     return Fields(float(times[step]), points, cells, cell_data | point_data)
 
