@@ -51,7 +51,7 @@ class Team:
             queue.put((work, self._next))
         return team
 
-    def share(self, work: Callable[[int], None], parts: int) -> None:
+    def share(self, work: Callable[[int], object], parts: int) -> None:
         """Call work(0) to work(parts - 1), each once, in any thread, and wait for all. Raises an error of one of the calls."""
         left, done = iter(range(parts)), SimpleQueue[BaseException | None]()
 
@@ -138,7 +138,7 @@ def together(function: Callable[..., R], *arguments: object) -> R:
     return result
 
 
-def share(work: Callable[[int, int], None], count: int, least: int) -> None:
+def share(work: Callable[[int, int], object], count: int, least: int) -> None:
     """Call work(lo, hi) for ranges of [0, count), each of at least `least` rows, in all threads."""
     team = _current.get(_ALONE)
     parts = max(1, min(RANGES * (team.count + 1), count // least)) if team.count else 1

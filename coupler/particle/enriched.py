@@ -142,12 +142,18 @@ class EnrichedParticle(CompiledParticle):
         largest = max(self.comm.allgather(float(stiffness.max(initial=0.0))))
         u, before = small.u[:n], self._size(mode)
         if before > 0.0:
-            stirred = (stiffness / largest)[:, None] ** 2 * self._random
-            u[:] = mode / before + k.STIRRED / self._size(stirred) * stirred
+            weight = (stiffness / largest) ** 2
+            share(lambda lo, hi: np.multiply(self._random[lo:hi], weight[lo:hi, None], out=u[lo:hi]), n, k.LEAST_POINTS)
+            part = k.STIRRED / self._size(u)
+            share(lambda lo, hi: np.add(mode[lo:hi] / before, part * u[lo:hi], out=u[lo:hi]), n, k.LEAST_POINTS)
         else:
             u[:] = self._random
         omega2 = self._size(u)
-        # u becomes minus the accelerations that it causes, over its size
+
+        def respond(lo: int, hi: int) -> None:
+            """Minus the accelerations that u causes, over its size, in place of u."""
+            u[lo:hi] = scale[lo:hi, None] * f[lo:hi]
+
         for _ in range(k.NEXT if before > 0.0 else k.FIRST):
             self._swap(self._sends, self._receives, small.u)
             together(k.linear_stress, n, self.law, self.law_of, self._scheme.V, sides, self._motion.X, F, J, small)
@@ -155,7 +161,8 @@ class EnrichedParticle(CompiledParticle):
             self._swap(self._side_sends, self._side_receives, small.residual)
             together(k.linear_forces, n, sides, self._pairs, small, f)
             self._inertia.slow(f)
-            np.multiply(f, (-1.0 / (self.mass * omega2))[:, None], out=u)
+            scale = -1.0 / (self.mass * omega2)
+            share(respond, n, k.LEAST_POINTS)
             omega2 = self._size(u)
         limit = 2.0 / np.sqrt(omega2)
         if not limit > 0.0:
