@@ -11,7 +11,7 @@ Faces are adiabatic.
 
 from dataclasses import dataclass
 from math import ceil
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -23,10 +23,8 @@ from ..core.records import Shape
 from ..core.threads import together
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .blocks import edge_cofactors
+from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
-
-if TYPE_CHECKING:
-    from .explicit import Target
 
 EVERY = 10  # mechanical steps per step of conduction: about the stable step of conduction in copper, far less than it in steel
 LEAST = 4000  # elements or nodes in a range of a loop that threads share
@@ -73,7 +71,7 @@ class Conduction(ConductionState):
         share, rate, own, gain, flow = *np.zeros((4, m)), np.zeros((m, 4))
         self.arrays = Flow(share, rate, flow, own, gain, self.last, self.capacity, self.T, np.zeros(n), np.zeros(n))
 
-    def advance(self, dt: float, t: "Target") -> None:
+    def advance(self, dt: float, t: FiniteElements) -> None:
         """Count a mechanical step of dt (s). Every EVERY steps, conduct heat over the time since the last conduction."""
         self.elapsed += dt
         self.steps += 1
@@ -81,7 +79,7 @@ class Conduction(ConductionState):
             self.conduct_for(self.elapsed, t)
             self.elapsed = 0.0
 
-    def conduct_for(self, time: float, t: "Target") -> None:
+    def conduct_for(self, time: float, t: FiniteElements) -> None:
         """Conduct heat among the active elements for `time` s, in stable steps; their boundary is adiabatic.
 
         Changes T, sigma_y and heat of the elements of t.
@@ -96,7 +94,7 @@ class Conduction(ConductionState):
             together(_level, n, m, dt, t.cells, t.metals, Elements.of(t.elements), self.arrays)
             left = left - dt if left > 1.5 * dt else 0.0
 
-    def _sync_nodes(self, t: "Target") -> None:
+    def _sync_nodes(self, t: FiniteElements) -> None:
         """Raise the temperatures of the nodes by the rise of their elements since the last call."""
         n, m, a, known = t.active_nodes, t.active_elements, self.arrays, self.known_elements
         a.own[:known] = t.elements.T[:known] - self.last[:known]
@@ -110,7 +108,7 @@ class Conduction(ConductionState):
             self.known |= fresh
             self.known_elements = m
 
-    def flows(self, t: "Target") -> float:
+    def flows(self, t: FiniteElements) -> float:
         """Write the heat flow between nodes to arrays.flow, W. Returns the fastest rate of an element, 1/s."""
         fastest = np.zeros(PARTS)
         m, volume = t.active_elements, t.elements.volume

@@ -11,14 +11,12 @@ The work that the added inertia takes from the forces is numerical dissipation i
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
 from ..core.records import Shape
-
-if TYPE_CHECKING:
-    from .explicit import Target
+from .mesh import FiniteElements
 
 MOST = 150  # elements: the matrix of their nodes is inverted in each chunk of steps
 
@@ -39,17 +37,18 @@ class InertiaState:
 class ElementInertia(InertiaState):
     """The elements of one target that have an added inertia (scaled elements). They are chosen before each chunk of steps.
 
-    elements (s,): their numbers; nodes (k,): their nodes that are not fixed.
+    elements (s,): their numbers; factor (s,): (T / t_e)^2 of each; nodes (k,): their nodes that are not fixed.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.elements: np.ndarray = np.zeros(0, np.int64)
+        self.factor = np.ones(0)
         self.nodes: np.ndarray = np.zeros(0, np.int64)
         self._corners: np.ndarray = np.zeros((0, 4), np.int64)
         self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are free
 
-    def choose(self, t: "Target", safe: np.ndarray, step: float) -> None:
+    def choose(self, t: FiniteElements, safe: np.ndarray, step: float) -> None:
         """Choose elements so that all elements are stable with `step` s, as far as the limit `most` allows. safe (e,) s: stable steps
         of the first e elements; the steps of chosen elements are increased."""
         self.elements = self.elements[:0]
@@ -64,10 +63,11 @@ class ElementInertia(InertiaState):
         if len(self.elements) == 0:
             self.nodes = self.nodes[:0]
             return
-        chosen, factor = self.elements, (reached / safe[self.elements]) ** 2
+        chosen = self.elements
+        self.factor = (reached / safe[chosen]) ** 2
         safe[chosen] = reached
         mass = t.laws["rho"][t.law_of[chosen]] * t.mesh.V0[chosen]
-        self._mu = 0.25 * mass * (factor - 1.0)
+        self._mu = 0.25 * mass * (self.factor - 1.0)
         self._corners = t.mesh.conn[chosen]
         nodes, row = np.unique(self._corners.astype(np.int64), return_inverse=True)
         row = row.reshape(-1, 4)
@@ -85,7 +85,7 @@ class ElementInertia(InertiaState):
         if len(self.nodes):
             f[self.nodes] = self._share @ f[self.nodes]
 
-    def advance(self, t: "Target", total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
+    def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
         """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns the
         reduction of their work in the step, J, and of their sum, (3,) N, which acts on fixed nodes."""
         work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))

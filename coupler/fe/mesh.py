@@ -1,7 +1,7 @@
 """The mesh of the target, with gradients, volumes and facets from scikit-fem."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
@@ -11,7 +11,8 @@ from ..errors import SolverError
 from ..geometry.graph import around
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
-from .model import Cells
+from .model import Cells, Metals
+from .state import Balance, ElementState, NodeState
 
 UPWARDS = 0.25  # of the unit normal of a facet: a flank of 75 degrees
 
@@ -37,6 +38,24 @@ class TetMesh:
     reach_node: Annotated[np.ndarray, Shape(-1)]
     reach_element: Annotated[np.ndarray, Shape(-1)]
     axis: Annotated[np.ndarray, Shape(2)] = field(default_factory=lambda: np.zeros(2))
+
+
+class FiniteElements(Protocol):
+    """Attributes of `fe.explicit.Target` that its parts use. They are described there."""
+
+    mesh: TetMesh
+    laws: np.ndarray
+    law_of: np.ndarray
+    cells: Cells
+    metals: Metals
+    nodes: NodeState
+    elements: ElementState
+    mass: np.ndarray
+    inv_mass: np.ndarray
+    dt_of: np.ndarray
+    balance: Balance
+    active_nodes: int
+    active_elements: int
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:

@@ -7,7 +7,7 @@ steps can be missed: therefore a safety factor is applied, and the step is at mo
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,8 @@ from ..physics.constitutive import bulk_stiffness
 from .blocks import edge_cofactors
 from .inertia import ElementInertia
 from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
+from .mesh import FiniteElements
 from .model import Cells, Metals
-
-if TYPE_CHECKING:
-    from .explicit import Target
 
 PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
@@ -157,7 +155,7 @@ def resist(springs: Links, w: Floats, active: int, f: Floats) -> None:
                 f[a[j], d] += weight[j] * pull
 
 
-def masses_for(t: "Target", dt: float) -> np.ndarray:
+def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     """Masses (n,) kg of the nodes with which the bound of every element is dt (s): the mass of each element is multiplied by
     (dt / its own step)^2."""
     conn = t.mesh.conn
@@ -203,7 +201,7 @@ class HighestFrequency(FrequencyState):
             raise unfit("its random numbers are not valid") from error
 
     def longest_step(
-        self, t: "Target", bound: float, n: int, m: int, springs: Links | None = None,
+        self, t: FiniteElements, bound: float, n: int, m: int, springs: Links | None = None,
         inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> float:  # fmt: skip
         """Stable time step (s), without damping, of the first n nodes and m elements of a `Target`. bound (s): safe bound of the

@@ -4,18 +4,13 @@ These elements are at rest, in equilibrium, and their forces are added up only o
 window have springs and dashpots, which replace the elements beyond it (`Edge`). In a relaxation these nodes are fixed.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import areas_and_normals
 from .boundary import add_matrices
-from .mesh import TetMesh
+from .mesh import FiniteElements, TetMesh
 from .state import EdgeState
-
-if TYPE_CHECKING:
-    from .explicit import Target
 
 NORMAL = 2.0  # stiffness of the edge along the radius over G / R
 UNDISTURBED = 0.9  # share of the radius within which the edge does not affect the target
@@ -37,7 +32,7 @@ class Edge(EdgeState):
     """
 
     def __init__(
-        self, t: "Target", elements: int, among: np.ndarray, origin: np.ndarray, rest: np.ndarray | None = None
+        self, t: FiniteElements, elements: int, among: np.ndarray, origin: np.ndarray, rest: np.ndarray | None = None
     ):
         """The edge of the first `elements` of a target: facets whose nodes are all in `among` (a,). rest (k,3) m: rest positions,
         by default the present ones."""
@@ -66,7 +61,7 @@ class Edge(EdgeState):
         self.nodes, (self.stiffness, self.damping) = nodes, matrices[:, nodes]
         self.load(t, elements)
 
-    def load(self, t: "Target", elements: int) -> None:
+    def load(self, t: FiniteElements, elements: int) -> None:
         """Store the present forces of the elements beyond the first `elements` as the static forces."""
         forces = np.zeros((len(t.nodes.x), 3))
         np.add.at(forces, t.mesh.conn[elements:].ravel(), t.elements.fe[elements:].reshape(-1, 3))

@@ -36,7 +36,7 @@ LEAST_J = 0.1  # volume ratio: a smaller one is an error of the gradient
 
 
 class Operators(NamedTuple):
-    """The matrices G (components x, y, z, in 1/m) and R of `heat.PointConduction`, or their transposes, in compressed rows. Row i has
+    """The matrices G (components x, y, z, in 1/m) and R of `PointConduction`, or their transposes, in compressed rows. Row i has
     the weights weights[start[i]:start[i + 1]] (m,4) for the points columns[start[i]:start[i + 1]]."""
 
     start: Ints
@@ -153,45 +153,32 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 
 
 @njit(cache=True, nogil=True)
-def weigh(lo: int, hi: int, laws: Laws, spacing: float, h: Conduction) -> None:
-    """Write the conduction tensors kD, c and capacity at the temperatures T. Write also the largest flow for temperature differences
-    of 1 K to q."""
-    for i in range(lo, hi):
-        law = laws[h.law_of[i]]
-        h.capacity[i] = law.rho * h.volume[i] * heat_capacity(law, h.T[i])
-        k = conductivity(law, h.T[i])
-        for d in range(6):
-            h.kD[i, d] = k * h.D[i, d]
-        h.c[i] = SMOOTHING * (h.kD[i, 0] + h.kD[i, 1] + h.kD[i, 2]) / (spacing * spacing)
-        most = h.kD[i, 0], h.kD[i, 1], h.kD[i, 2], abs(h.kD[i, 3]), abs(h.kD[i, 4]), abs(h.kD[i, 5])
-        h.q[i, 0], h.q[i, 1], h.q[i, 2] = _applied(most, h.reach[i, 0], h.reach[i, 1], h.reach[i, 2])
-        h.q[i, 3] = h.c[i] * h.reach[i, 3]
-
-
-@njit(cache=True, nogil=True)
-def fastest(lo: int, hi: int, transposed: Operators, h: Conduction) -> float:
-    """Upper bound on the fastest rate of decay, 1/s (Gershgorin, with absolute values of the operators)."""
-    t, most = transposed, 0.0
-    for i in range(lo, hi):
-        total = 0.0
-        for s in range(t.start[i], t.start[i + 1]):
-            for d in range(4):
-                total += abs(t.weights[s, d]) * h.q[t.columns[s], d]
-        most = max(most, total / h.capacity[i])
-    return most
-
-
-@njit(cache=True, nogil=True)
 def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
-    """Do `pull_back`, `weigh` and `fastest` for n points at x (n,3) m, in all threads. rates (PARTS,) 1/s: result of `fastest` for
-    each part."""
+    """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures T, in all threads. rates (PARTS,) 1/s:
+    upper bound on the fastest rate of decay in each part (Gershgorin, with absolute values of the operators), from the largest flow
+    for temperature differences of 1 K, which is written to q."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)
-        weigh(lo, hi, laws, spacing, h)
+        for i in range(lo, hi):
+            law = laws[h.law_of[i]]
+            h.capacity[i] = law.rho * h.volume[i] * heat_capacity(law, h.T[i])
+            k = conductivity(law, h.T[i])
+            for d in range(6):
+                h.kD[i, d] = k * h.D[i, d]
+            h.c[i] = SMOOTHING * (h.kD[i, 0] + h.kD[i, 1] + h.kD[i, 2]) / (spacing * spacing)
+            most = h.kD[i, 0], h.kD[i, 1], h.kD[i, 2], abs(h.kD[i, 3]), abs(h.kD[i, 4]), abs(h.kD[i, 5])
+            h.q[i, 0], h.q[i, 1], h.q[i, 2] = _applied(most, h.reach[i, 0], h.reach[i, 1], h.reach[i, 2])
+            h.q[i, 3] = h.c[i] * h.reach[i, 3]
     for lo, hi, part in ranges(team, 1, n, LEAST_POINTS):
-        rates[part] = fastest(lo, hi, transposed, h)
+        rates[part] = 0.0
+        for i in range(lo, hi):
+            total = 0.0
+            for s in range(transposed.start[i], transposed.start[i + 1]):
+                for d in range(4):
+                    total += abs(transposed.weights[s, d]) * h.q[transposed.columns[s], d]
+            rates[part] = max(rates[part], total / h.capacity[i])
 
 
 @njit(cache=True, nogil=True)
