@@ -110,8 +110,8 @@ class Progress:
             self._ticker.start()
 
     def batch_ended(self, done: float) -> None:
-        """Report the end of a batch of simultaneous impacts. done: share of the whole before the next batch. The remaining time follows
-        from the batches after the first one, at whose end all processes have their kernels."""
+        """Report the end of a batch of simultaneous impacts. done: share of all work that is finished. The remaining time is estimated
+        from the later batches: the first one includes the compilation of the code in each process."""
         if self._batches is None:
             self._batches = time.monotonic() - self.compiling, done
 
@@ -171,9 +171,9 @@ class Progress:
     def _fraction(self) -> float:
         """The fraction of the expected wall time of all impacts that is already done.
 
-        At least _OVERDUE of the time so far of an impact remains. 1 / dt rises approximately as kinetic energy is converted: its
-        mean over the rest of the impact is its current value, plus the remaining share of kinetic energy times the difference
-        between the expected mean and the first value.
+        An impact is expected to take at least _OVERDUE times its wall time so far. The number of steps per simulated time, 1 / dt,
+        rises as kinetic energy is converted. Its mean over the rest of the impact is estimated as its current value plus
+        (expected mean - first value) times the remaining share of kinetic energy.
         """
         gone, (kinetic, dt, step) = self.time - self._before, self._state
         if not gone > 0.0:
@@ -184,7 +184,7 @@ class Progress:
         return self._done + self._share * step / (step + steps_left)
 
     def _open(self) -> None:
-        """Start the bar, on a terminal."""
+        """Show the progress bar if the output is a terminal."""
         is_terminal = getattr(self.stream, "isatty", lambda: False)  # other stream classes may lack it
         if self._bar is None and not self.quiet and is_terminal():
             self._bar = _bar(self.stream)

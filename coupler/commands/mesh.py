@@ -145,7 +145,9 @@ def of_file(
             hint = "the volume depends on the spacing: give --spacing if you know it"
             notes.append(f"the spacing is estimated: {rounded(spacing, 'um')} ({hint})")
         if spacing > _MOST_SPACING:
-            notes.append(f"the points are {spacing:.3g} m apart: give the unit of the file, such as --unit um")
+            notes.append(
+                f"the points are {spacing:.3g} m apart, which is too far for a particle: give the unit of the file, such as --unit um"
+            )
     if volume is None:
         volume = np.full(len(x), spacing**3)
     index, left_out = cleaned(x, spacing)

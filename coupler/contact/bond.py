@@ -174,7 +174,7 @@ class Bond:
         return energy
 
     def compression(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Compression (k,) m of bonds `rows` (k,): depth of their nodes below gap, negative above. x (N,3) m."""
+        """Compression (k,) m of the bonds `rows` (k,): how much closer than its `gap` each node is to its triangle. x (N,3) m."""
         return np.asarray(self.gap[rows] - _foot(x[self.nodes[rows]], x[self.triangles[rows]])[1])
 
     def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:

@@ -182,7 +182,7 @@ class Deposition:
         return target
 
     def finish(self, target: Bodies) -> None:
-        """Write the summary of the run. Checkpoints are kept if the last impact can continue."""
+        """Write the summary of the run. Keep the checkpoints if the last impact has no verdict: it can be resumed."""
         (self.folder / PICTURE).unlink(missing_ok=True)  # from an earlier end of this run
         origin = provenance(Result(self.folder).scene_text, self.plan.engine)
         self.store.finish({**self._summary(target), "provenance": origin})
@@ -209,7 +209,7 @@ class Deposition:
     # ---- checkpoints ---------------------------------------------------------------------------------------------
 
     def restored(self) -> Bodies:
-        """The target of the last complete checkpoint, before the next batch; without a checkpoint the target at the start."""
+        """The target of the last complete checkpoint, from which the next batch starts; without a checkpoint, the initial target."""
         log = self.options.progress.log
         state = checkpoint.latest(self.folder, DepositionState, self._about, log)
         if state is None:

@@ -57,7 +57,7 @@ def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndar
 def add_matrices(
     faces: np.ndarray, area: np.ndarray, n: np.ndarray, along: np.ndarray, across: np.ndarray, matrix: np.ndarray
 ) -> None:
-    """Add the matrix (along n n^T + across (1 - n n^T)) area / 3 of each face (k,3) to the matrices (N,3,3) of its three nodes. n:
+    """Add (along n n^T + across (I - n n^T)) area / 3 of each face to the matrices (N,3,3) of its three nodes. faces (k,3); n (k,3):
     normals of the faces; along, across: coefficients."""
     nn = n[:, :, None] * n[:, None, :]
     share = (area / 3.0)[:, None, None] * (along[:, None, None] * nn + across[:, None, None] * (np.eye(3) - nn))

@@ -233,13 +233,14 @@ class Target(TargetState):
             dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY)
 
-    def advance(self, dt: float, is_conducting: bool = True) -> None:
+    def advance(self, dt: float, is_conducting: bool = True, is_viscous: bool = True) -> None:
         """Move to n+1 and compute stress and internal forces there; velocities are at n+1/2. dt (s); is_conducting: heat flows
-        between elements. Raises SolverError when a tetrahedron inverts."""
+        between elements; is_viscous: with bulk viscosity. Raises SolverError when a tetrahedron inverts."""
         half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
         self.balance.impulse += half_step * self.support
         self._activate(dt)
-        self.move(kicked, half_step, dt, self.inv_mass, (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY))
+        viscosity = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if is_viscous else (0.0, 0.0)
+        self.move(kicked, half_step, dt, self.inv_mass, viscosity)
         if is_conducting and self.conduction is not None:
             self.conduction.advance(dt, self)
         self.dt_last = dt

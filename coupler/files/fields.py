@@ -68,7 +68,7 @@ class Root:
             group = child(group, folder, h5py.Group)
         data = child(group, last, h5py.Dataset)
         if data.is_virtual or data.external:
-            raise ValueError(f"{name} points to another file")
+            raise ValueError(f"{name} refers to another file, which is not allowed")
         if data.dtype.kind not in kinds or data.ndim not in (1, 2):
             raise ValueError(f"{name} has an unexpected type or shape")
         count = len(data) - start if count is None else count

@@ -255,7 +255,7 @@ def _check_own_limits() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         if wanted < _LEAST_DESCRIPTORS:
             raise StoreError(
-                f"only {hard} open files are allowed, but {_LEAST_DESCRIPTORS} are needed: raise it with ulimit -n"
+                f"the system allows only {hard} open files, but {_LEAST_DESCRIPTORS} are needed: raise this limit with ulimit -n"
             )
     for limit, least, words, option in (
         (resource.RLIMIT_FSIZE, _LEAST_FILE, "files are limited", "-f"),

@@ -141,7 +141,9 @@ def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None
     """Write the TOML text from which a folder is computed. but: keys that may change. Raises StoreError if it holds another `what`."""
     free = dict.fromkeys(but)
     if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
-        raise StoreError(f"{path.parent} holds another {what}: choose another folder with --out, or remove this one")
+        raise StoreError(
+            f"{path.parent} already holds another {what}: choose another folder with --out, or remove that {what}"
+        )
     write_text(path, text)
 
 

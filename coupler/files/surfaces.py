@@ -131,7 +131,7 @@ class _Body:
         """The next values (count,) of a type. Raises ValueError if the file has fewer."""
         length = count * (dtype.itemsize if self.order else 1)
         if not 0 <= length <= len(self.values) - self.at:
-            raise ValueError(f"it ends before the values that its header states; {_CUT_OFF}")
+            raise ValueError(f"it has fewer values than its header states; {_CUT_OFF}")
         part = self.values[self.at : self.at + length]
         self.at += length
         return part.view(dtype) if self.order else part.astype(float)

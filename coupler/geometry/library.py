@@ -31,7 +31,7 @@ def open3d() -> ModuleType:
         if isinstance(problem.__cause__, KeyboardInterrupt):  # Ctrl-C during the import of its compiled part
             raise problem.__cause__ from None
         raise DependencyError(
-            f"open3d cannot be loaded ({problem}). It is in the package open3d-cpu and, with CUDA, in the package open3d."
-            " Both have the same files, and removal of one damages the other: remove both, then install one"
+            f"open3d cannot be loaded ({problem}): pip uninstall open3d open3d-cpu, then pip install open3d-cpu (with CUDA: open3d)."
+            " The two packages share files: install only one"
         ) from problem
     return package

@@ -91,8 +91,8 @@ class Recorder:
         self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
-        """Write the fields at the start, unless restored files already contain them. For the first impact they are always written,
-        for later impacts unless only the end of each impact is written."""
+        """Write the fields at the start of the impact, if restored files do not contain them yet. If only the end of each impact is
+        written, only the first impact has fields at its start."""
         if self.seen.next_output == 0.0:
             self.seen.met = impact.target.nodes.x[impact.surface_nodes, 2]
             self.seen.touched_at = float(impact.particle.x[:, 2].mean())
@@ -146,7 +146,8 @@ class Recorder:
         return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
-        """Record extreme values for the validity of the models, and whether the particle reaches a rim. skin (k,3) m: its surface."""
+        """Record the extreme values that the validity check needs, and whether the particle reaches an edge of the target. skin (k,3)
+        m: surface of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
         if (number := self.impact_plan.brittle) is not None:

@@ -46,7 +46,8 @@ def _percentile(values: np.ndarray) -> float:
 
 @dataclass
 class Extremes:
-    """The largest values of particle (of its shell, if it has a core) and target, for the check of validity."""
+    """Extreme strain rates, strains and temperatures of particle and target, for the check of validity. Of a particle with a core
+    only the shell counts."""
 
     particle: Extreme = field(default_factory=Extreme)
     target: Extreme = field(default_factory=Extreme)

@@ -122,7 +122,8 @@ def add_up(
 
 @njit(cache=True, nogil=True)
 def smallest_stretch(lo: int, hi: int, strain: Floats) -> tuple[float, int]:
-    """Smallest principal stretch over points, and its point. strain (n,6): Green-Lagrange, xx yy zz xy xz yz."""
+    """Smallest principal stretch of the points lo to hi - 1, and the index of this point. strain (n,6): Green-Lagrange, xx yy zz xy
+    xz yz."""
     smallest = 1e300
     where = -1
     for i in range(lo, hi):

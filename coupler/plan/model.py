@@ -87,7 +87,7 @@ class ImpactPlan(Landing):
 
     @property
     def brittle(self) -> int | None:
-        """Number of its ceramic among `materials`, the first of two; None if there is none."""
+        """Index of the first ceramic in `materials`; None if there is no ceramic."""
         return next((k for k, metal in enumerate(self.materials) if metal.tensile_limit is not None), None)
 
     @property

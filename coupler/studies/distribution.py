@@ -47,7 +47,8 @@ def varied_numbers(rows: Sequence[Row], varied: Sequence[str]) -> tuple[str, ...
 
 
 def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
-    """The distribution of each measure that at least FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
+    """The distribution of each measure that at least FEWEST finished runs have. keys: names of the numbers that vary between the
+    scenes (`varied_numbers`)."""
     result = []
     for name in MEASURES:
         used = [row for row in rows if row["status"] == "done" and row[name] is not None]

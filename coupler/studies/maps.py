@@ -155,8 +155,8 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
 
 
 def _distances(standard: NDArray) -> NDArray:
-    """The shortest distance (d,) along each axis that the points (n,d) resolve: the lower quartile of the distances to the nearest
-    neighbour, at least the smallest difference of two values of the axis."""
+    """Shortest length (d,) along each axis that the points (n,d) can resolve. It is the lower quartile of the distances to the nearest
+    neighbour, but not less than the smallest difference between two values on the axis."""
     places = np.unique(standard.round(9), axis=0)
     nearest = float(np.quantile(KDTree(places).query(places, k=2)[0][:, 1], 0.25))
     return np.array([max(float(np.diff(np.unique(column)).min()), nearest) for column in places.T])

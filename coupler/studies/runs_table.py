@@ -152,7 +152,7 @@ def _scene_of(path: Path) -> dict[str, Any]:
 
 
 def _as_written(path: Path) -> Row:
-    """Material and axes of a point, read directly from the file of its scene as far as possible."""
+    """Material and axis values of one point of the study, read from its scene file. Values that cannot be read are left out."""
     row, data = dict[str, Any](material="", substrate=""), _scene_of(path)
     with contextlib.suppress(ValueError, LookupError, TypeError):
         row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])

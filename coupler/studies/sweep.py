@@ -182,7 +182,7 @@ def _points(points: object, source: str) -> list[Settings]:
             raise SceneError(["points: expected tables [[points]], each with keys of the scene"], source)
         return [dict(_flat(point)) for point in points]
     if not isinstance(points, Mapping):
-        raise SceneError(["points: expected a table [points] of lists"], source)
+        raise SceneError(["points: expected a table [points] with a list of values for each key"], source)
     axes, problems = dict[str, list[object]](), list[str]()
     for key, values in _flat(points):
         listed = [values] if isinstance(values, str) else values

@@ -366,7 +366,7 @@ def _check(state: BodiesState) -> None:
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
     by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
     if len(state.impact) != len(state.laws):
-        raise unfit("it does not give the impact of each body")
+        raise unfit("the number of the impact is missing for some bodies")
     fits = all(len(a) == n for a in by_node) and all(len(a) == m for a in by_element)
     if not fits or len(mesh.facet_element) != facets:
         raise unfit("mesh and fields of the target have different lengths")
@@ -374,7 +374,7 @@ def _check(state: BodiesState) -> None:
         raise unfit("the mesh lacks the faces of the substrate")
     for ids in mesh.sets.values():
         if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
-            raise unfit("a face of the mesh refers to facets that do not exist")
+            raise unfit("a face of the body refers to triangles that do not exist")
     for record in (mesh, state, *([] if state.bond is None else [state.bond])):
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 

@@ -207,7 +207,7 @@ def test_an_interrupt_while_open3d_is_loaded_is_no_missing_package(monkeypatch: 
 def test_a_conversion_needs_open3d(method: str, package: ModuleType | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Incomplete: as the folder is once one of the packages open3d and open3d-cpu has been removed from beside the other."""
     monkeypatch.setitem(sys.modules, "open3d", package)
-    with pytest.raises(DependencyError, match=r"open3d cannot be loaded.*remove both, then install one"):
+    with pytest.raises(DependencyError, match=r"open3d cannot be loaded.*pip install open3d-cpu"):
         convert(cloud_of(points=400), 3.4e-6, method)
 
 
