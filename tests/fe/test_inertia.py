@@ -5,6 +5,7 @@ import pytest
 from blocks import pinched
 from conftest import elastic
 
+from coupler.core import safety
 from coupler.core.records import copied
 from coupler.fe import mesh
 from coupler.fe.boundary import nodes_of
@@ -149,3 +150,18 @@ def test_the_surface_is_heavier_until_the_bodies_rest_again() -> None:
     np.testing.assert_array_equal(again.inv_mass, 1.0 / t.mass)
     t.rest()
     np.testing.assert_array_equal(t.mass, true)
+
+
+def test_without_viscosity_thin_elements_keep_their_energy_at_the_step_of_the_mesh() -> None:
+    """As after an equilibrium. The step is three times the bound of a thin element, whose viscosity has a length of ten heights."""
+    t = flattened()
+    t.nodes.v[:] = 0.01 * np.random.default_rng(2).standard_normal(t.nodes.v.shape)
+    start, own = t.kinetic(), t.stable_dt()
+    for _ in range(30):
+        dt = safety.SETTLED * t.stable_dt(1.0)
+        for _ in range(10):
+            t.advance(dt, is_conducting=False, is_viscous=False)
+            t.finish()
+    assert dt > 2.5 * own
+    assert t.balance.numerical == 0.0
+    assert t.kinetic() + t.elastic() == pytest.approx(start, rel=1e-5)
