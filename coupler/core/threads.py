@@ -55,7 +55,7 @@ class Team:
         """Call work(0) to work(parts - 1), each once, in any thread, and wait for all. Raises an error of one of the calls."""
         left, done = iter(range(parts)), SimpleQueue[BaseException | None]()
 
-        def take(_: Ints | None = None) -> None:
+        def do_parts(_: Ints | None = None) -> None:
             for part in left:
                 try:
                     work(part)
@@ -63,8 +63,8 @@ class Team:
                 except BaseException as error:
                     done.put(error)
 
-        self.join(take)[0] = 1
-        take()
+        self.join(do_parts)[0] = 1
+        do_parts()
         for error in [done.get() for _ in range(parts)]:
             if error is not None:
                 raise error

@@ -59,7 +59,7 @@ def cool(
     def lose(lo: int, hi: int) -> None:
         own[lo:hi] = excess[lo:hi] * -np.expm1(-dt * rate[lo:hi])
 
-    def take(lo: int, hi: int) -> None:
+    def add_heat(lo: int, hi: int) -> None:
         gains(lo, hi, t.mesh.conn, carried, change, own, gain)
         take_heat(lo, hi, gain, t.cells, t.metals, elements)
         carry(lo, hi)
@@ -93,7 +93,7 @@ def cool(
             change += weight * stage
         # each element gets the increments of its nodes, and loses its excess over them
         recover(0.5 * dt)
-        share(take, m, LEAST)
+        share(add_heat, m, LEAST)
         recover(0.5 * dt)
         taken -= float(gain.sum())
         T += change

@@ -29,7 +29,7 @@ ITERATIONS = 3000  # more are needed where a part hangs by a hinge: then uniform
 LEAST = 1e-3  # of the largest eigenvalue of a stiffness: less has what hangs by a hinge
 ROUNDS = 6  # of the search for the surfaces that bear pressure: the last ones change some that bear next to nothing
 # Stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3. In series with it lies the gap as
-# metal: on the faces of the block, where nodes on both sides are held, a stiffer spring would bear more than metal does.
+# metal: on the faces of the block, where nodes on both sides are prescribed, a stiffer spring would bear more than metal does.
 TOUCHING = 100.0
 
 
@@ -61,26 +61,26 @@ class Problem:
 
     def kinematic(self) -> NDArray:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK if linear fields are prescribed on all faces (upper bound)."""
-        held = np.tile(self.on.any(axis=0), self.components)
-        return self._driven([held] * (6 if self.components == 3 else 3))
+        prescribed = np.tile(self.on.any(axis=0), self.components)
+        return self._driven([prescribed] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; zero for two loads with different conditions."""
         if self.components == 1:
             return self._driven(list(self.on))
-        held = np.zeros((6, 3, len(self.x)), bool)
-        held[:3] = self.on
+        prescribed = np.zeros((6, 3, len(self.x)), bool)
+        prescribed[:3] = self.on
         for k, (i, j) in enumerate(VOIGT[3:], 3):
             third = 3 - i - j
-            held[k, third] = self.on.any(axis=0)
-            held[k, j], held[k, i] = self.on[i], self.on[j]
-        return self._driven(list(held.reshape(6, -1)))
+            prescribed[k, third] = self.on.any(axis=0)
+            prescribed[k, j], prescribed[k, i] = self.on[i], self.on[j]
+        return self._driven(list(prescribed.reshape(6, -1)))
 
     def static(self) -> NDArray | None:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK under uniform tractions or fluxes on the metal of the faces (lower bound). If
         pores make a resultant force or moment, tractions that vary linearly over the same faces balance it. They act only on nodes
         that the mixed conditions also hold, so that the result stays below the mixed one. None if no part of the block connects all
-        six faces, or a part is held at fewer than three points, because it could move without limit."""
+        six faces, or a part has fewer than three prescribed points, because it could move without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
@@ -107,20 +107,20 @@ class Problem:
         least, *_, most = np.linalg.eigvalsh(stiffness)
         return stiffness if least > LEAST * most else None
 
-    def _driven(self, held: list[NDArray]) -> NDArray:
-        """Energies of the loads, per volume, if the components `held` follow the linear fields. Raises SolverError."""
+    def _driven(self, prescribed: list[NDArray]) -> NDArray:
+        """Energies of the loads, per volume, if the components `prescribed` follow the linear fields. Raises SolverError."""
         answer = self.uniform(self.x).copy()
-        alike = np.array([next(k for k, own in enumerate(held) if (own == each).all()) for each in held])
+        alike = np.array([next(k for k, own in enumerate(prescribed) if (own == each).all()) for each in prescribed])
         for first in dict.fromkeys(alike):
-            answer[alike == first] = self.answers(held[first], answer[alike == first])
+            answer[alike == first] = self.answers(prescribed[first], answer[alike == first])
         energy = answer @ (self.K @ answer.T) / self.volume
         return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
 
-    def answers(self, held: NDArray, fields: NDArray) -> NDArray:
-        """The fields (loads, components n) of least energy that have the values of `fields` (loads, components n) where `held`
+    def answers(self, prescribed: NDArray, fields: NDArray) -> NDArray:
+        """The fields (loads, components n) of least energy that have the values of `fields` (loads, components n) where `prescribed`
         (components n,). Raises SolverError."""
-        T, free = self._leads(held)
-        K, own, found = csr_array(T.T @ self.K @ T), held[free], fields[:, free]
+        T, free = self._leads(prescribed)
+        K, own, found = csr_array(T.T @ self.K @ T), prescribed[free], fields[:, free]
         inner, outer = K[~own][:, ~own], K[~own][:, own]
         for part in found:
             part[~own], failed = _solved(inner, -outer @ part[own])
@@ -130,19 +130,21 @@ class Problem:
                 )
         return np.asarray((T @ found.T).T)
 
-    def _leads(self, held: NDArray) -> tuple[csr_array, NDArray]:
+    def _leads(self, prescribed: NDArray) -> tuple[csr_array, NDArray]:
         """Matrix (components n, f) from the free values to all values, and indices (f,) of the free values. A bonded value that is
-        not held follows from the values of the opposite facet, whose nodes can in turn follow from an earlier body."""
+        not prescribed follows from the values of the opposite facet, whose nodes can in turn follow from an earlier body."""
         first = len(self.x) * np.arange(self.components)[:, None]
         nodes = (first + self.bonds.nodes).ravel()
         leaders = (first[..., None] + self.bonds.triangles).reshape(-1, 3)
-        weights, led = np.tile(self.bonds.weights, (self.components, 1)), np.zeros(len(held), bool)
-        bonded = ~held[nodes]
+        weights, led = np.tile(self.bonds.weights, (self.components, 1)), np.zeros(len(prescribed), bool)
+        bonded = ~prescribed[nodes]
         nodes, leaders, weights = nodes[bonded], leaders[bonded], weights[bonded]
         led[nodes] = True
         free = np.flatnonzero(~led)
         at = np.concatenate([free, np.repeat(nodes, 3)]), np.concatenate([free, leaders.ravel()])
-        step = csr_array((np.concatenate([np.ones(len(free)), weights.ravel()]), at), shape=(len(held), len(held)))
+        step = csr_array(
+            (np.concatenate([np.ones(len(free)), weights.ravel()]), at), shape=(len(prescribed), len(prescribed))
+        )
         T = step
         while abs(T[:, led]).sum() > 0.0:
             T = T @ step
