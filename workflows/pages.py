@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from study_table import DOCS, WORKFLOWS
 
 from coupler import Result, Scene, run
-from coupler.report.picture import blank, save
+from coupler.report.figure import blank, save
 
 EVIDENCE = DOCS / "evidence"
 

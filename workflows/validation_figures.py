@@ -13,7 +13,8 @@ from study_table import Row, column, number, table_rows
 
 from coupler import Result
 from coupler.report.fields import FIELDS
-from coupler.report.picture import View, blank, colour_bar, colour_range, cut, draw, save, scale_bar, stage
+from coupler.report.figure import blank, save
+from coupler.report.picture import View, colour_bar, colour_range, cut, draw, scale_bar, stage
 from coupler.report.profiles import profiles
 
 AXIS = "validation_axis"  # the table of the curves

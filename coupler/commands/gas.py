@@ -180,7 +180,7 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
     """Draw velocity and temperature of gas and particles along the axis of the nozzle, as PNG."""
     from matplotlib import colormaps
 
-    from ..report.picture import blank, save
+    from ..report.figure import blank, save
 
     figure = blank(8.0, 7.0, dpi=150, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)

@@ -110,7 +110,7 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
     from matplotlib.colors import Normalize
 
     from ..physics.adhesion import critical_velocity
-    from ..report.picture import blank, save
+    from ..report.figure import blank, save
     from ..spray import window
 
     figure = blank(7.0, 5.2, dpi=150, layout="constrained")

@@ -14,6 +14,7 @@ from typing import Annotated, NamedTuple, get_args, get_type_hints
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from . import library
+from .dislocations import NYE_FACTOR, taylor_relation
 from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Strength, read
 
 Pairs = tuple[tuple[float, float], ...]
@@ -23,11 +24,6 @@ _SAFE_WORDS = "A-Z, a-z, digits, spaces and _ . , : ; / ( ) = & + -"
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
 _HARDEST = 5.0  # largest initial plastic strain for a hardness
-TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
-TAYLOR_DENSITY = 1e12  # 1/m2, density at which Taylor's coefficient is alpha
-# share of the coefficient that is proportional to the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741
-LINE_TENSION = 0.8
-NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
 
 
 class Number(NamedTuple):
@@ -100,28 +96,15 @@ class Material:
 
     @property
     def forest(self) -> tuple[float, float]:
-        """Constants A and B, Pa, of Taylor's relation: the flow stress is y (A + B ln y) with y = b sqrt(rho), Burgers vector b and
-        dislocation density rho (1/m2). Both are zero if the metal has no `taylor_alpha`.
-
-        sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
-        (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040).
-        """
-        if not self.hardened_by_gradients:
-            return 0.0, 0.0
-        alpha, b = self.taylor_alpha, self.burgers or 0.0
-        stress, slope = TAYLOR_FACTOR * alpha * self.G, LINE_TENSION / math.log(alpha * b * math.sqrt(TAYLOR_DENSITY))
-        return stress * (1.0 - LINE_TENSION + slope * math.log(alpha)), stress * slope
+        """Constants A and B, Pa, of Taylor's relation (`physics.dislocations`); both are zero if the metal has no `taylor_alpha`."""
+        known = self.hardened_by_gradients
+        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if known else (0.0, 0.0)
 
     @property
     def gradient_length(self) -> float:
         """The length r b, m. A gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix &
         Hutchinson (1999), J. Mech. Phys. Solids 47, 1239). It is zero if the metal has no `taylor_alpha`."""
         return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
-
-    def stress_of_gradient(self, eta: float) -> float:
-        """Flow stress, Pa, due to only the dislocations of a gradient of plastic strain, eta (1/m)."""
-        (A, B), y = self.forest, math.sqrt(self.gradient_length * eta)
-        return y * (A + B * math.log(y)) if y > 0.0 else 0.0
 
     @property
     def hardened_by_gradients(self) -> bool:

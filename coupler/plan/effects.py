@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
 from ..physics.recovery import recovered_share
 from ..scene.effects import GRADIENTS
@@ -67,7 +68,8 @@ def numbers(
         return m.flow_stress(STRAIN_OF_FLOW, rate, min(T, m.T_ref))
 
     def by_gradient(m: Material, T: float, _: float) -> float:
-        own = m.stress_of_gradient(10.0 / impact.diameter)  # the strain changes by 1 over a tenth
+        eta = 10.0 / impact.diameter  # 1/m: the strain changes by 1 over a tenth
+        own = stress_of_gradient(m.forest, m.gradient_length, eta)
         return math.hypot(1.0, own / stress(m, T)) - 1.0
 
     def recovered(m: Material, T: float, heated: float) -> float:

@@ -27,7 +27,7 @@ from ..files.outputs import replacing
 from ..files.result import Result
 from ..geometry.triangles import area_vectors
 from ..physics.constitutive import law_record, yield_stresses
-from ..report.picture import blank, save
+from ..report.figure import blank, save
 from ..studies.table import write_rows
 from .block import Block
 from .measure import Sample, cold_coating, corners, cut

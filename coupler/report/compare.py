@@ -16,6 +16,7 @@ from ..files.outputs import write_text
 from ..files.result import Result
 from ..measures import BALANCE
 from . import charts, parts, picture
+from .figure import axes_at, blank, embedded, save
 from .page import Page
 from .words import Line, errors_of, fill_table, plain, shown, table_lines, title
 
@@ -93,16 +94,16 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
     wide, margin, bar = 3.6, 0.12, 1.0  # inches
     tall = wide * (high - low) / (2 * half)
     width, height = len(cuts) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75
-    figure = picture.blank(width, height, dpi=150)
+    figure = blank(width, height, dpi=150)
     for row, name in enumerate(names):
         ends = picture.colour_range(cuts, name)
         bottom = height - 0.7 - (row + 1) * tall - row * margin
         for k, section in enumerate(cuts):
-            axis = picture.axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
+            axis = axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
             picture.draw(axis, section, name, ends)
             if row == 0:
                 picture.scale_bar(axis, section.view, 10)
-        place = picture.axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall)
+        place = axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall)
         picture.colour_bar(place, name, ends, 0.96 * tall)
     for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
         left = (margin + k * (wide + margin)) / width
@@ -117,7 +118,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
     run lacks needed data, the path has another ending, or the file cannot be written."""
     path = Path(path)
     if path.suffix.lower() == ".png":
-        picture.save(comparison_picture(results), path)
+        save(comparison_picture(results), path)
     elif path.suffix.lower() in (".html", ".htm"):
         write_text(path, comparison_page(results))
     else:
@@ -130,7 +131,7 @@ def comparison_page(results: Sequence[Result]) -> str:
     check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
-    image = f'<img src="{picture.embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
+    image = f'<img src="{embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Differences between the scenes", parts.table(["", *names], rows) if rows else "")

@@ -4,7 +4,8 @@ from html import escape
 
 from ..files.inputs import reading
 from ..files.result import Result
-from .picture import embedded, section_figure
+from .figure import embedded
+from .picture import section_figure
 from .screen import screen
 from .words import title
 

@@ -21,6 +21,7 @@ from ..files.summary import Summary
 from ..measures import measure
 from . import charts, parts, picture
 from .fields import FIELDS
+from .figure import axes_at, blank, embedded
 from .profiles import profiles
 from .solid import frames, solid
 from .words import alerts, title, verdict
@@ -199,7 +200,7 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
         time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
         labels = {picture.PHASE: "phases", **{name: field.label for name, field in FIELDS.items()}}
-        panels = ((picture.embedded(_panel(section, name, ends)), labels[name]) for name, ends in ranges.items())
+        panels = ((embedded(_panel(section, name, ends)), labels[name]) for name, ends in ranges.items())
         images = "".join(f'<img src="{image}" alt="cut at {time}: {label}">' for image, label in panels)
         caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')
@@ -211,14 +212,14 @@ def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
     left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches
     tall = wide * (top - bottom) / (right - left)
-    figure = picture.blank(wide, tall + bar, 150)
-    axis = picture.axes_at(figure, 0, bar, wide, tall)
+    figure = blank(wide, tall + bar, 150)
+    axis = axes_at(figure, 0, bar, wide, tall)
     picture.draw(axis, section, name, ends)
     picture.scale_bar(axis, section.view, 10)
     if name == picture.PHASE:
         picture.name_phases(axis, section.phases, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
     else:
-        place = picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
+        place = axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
         picture.colour_bar(place, name, ends, wide - 0.5, across=True)
     return figure
 

@@ -1,39 +1,33 @@
 """Pictures of the cross-section through particle and target."""
 
-import base64
-import io
-import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, PathPatch
+from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.fields import Fields
-from ..files.outputs import MARK, replacing
 from ..files.result import COLD, DOMAINS, Result, impact_at
 from ..files.summary import Values
 from ..geometry.sections import crossing, section_loops, section_of_tets, section_of_triangles
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from .fields import FIELDS, at_nodes, from_points
+from .figure import axes_at, blank, fitted, save
+from .phases import PHASE, Phases, colour_of, name_phases, phases_of
 from .words import title
 
 MICRO = 1e6
@@ -41,13 +35,7 @@ VOID = 1.6  # spacings: a place in the particle farther than this from all point
 RAISED = 0.03  # diameters above the surface: higher parts of the target belong to a rim, a jet or a splat
 FAR = 1.3  # diameters above the target: a higher particle is outside the picture
 PIXELS = 320  # along the longer side of the particle
-READABLE = 8.0  # points: least size of a font
-LETTER = 0.6  # greatest mean width of a letter over the size of its font
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
-PHASE = "phase"  # in place of a field: the materials in their colours
-#: Colours of materials at full brightness, red green blue; the first is that of a coating of one material.
-PHASES = np.array([[1.0, 1.0, 1.0], [1.05, 0.8, 0.55], [0.7, 1.05, 0.75], [1.08, 0.75, 0.85], [0.65, 0.85, 1.08]])
-BRIGHT = 0.82  # mean brightness of materials in pictures
 
 View = tuple[float, float, float, float]  # left, right, bottom, top, um
 
@@ -58,38 +46,6 @@ class Range(NamedTuple):
     low: float
     high: float
     exceeded: bool = False
-
-
-@dataclass(frozen=True)
-class Phases:
-    """The materials of a run. names: those of the particles in the order of the impacts, then those of the substrate alone; the others
-    are indices of names. particles (n, 2): of shell and core of the particle of each impact; ground (k,): of the bodies of the
-    substrate."""
-
-    names: list[str]
-    particles: NDArray[np.int64]
-    ground: NDArray[np.int64]
-
-    def of(self, bodies: Fields) -> NDArray[np.int64]:
-        """Index (m,) of the material of each tetrahedron of target or splats."""
-        none = np.zeros(len(bodies.cells))
-        body, impact, core = (bodies.data.get(name, none).astype(np.int64) for name in ("body", "impact", "core"))
-        ground = self.ground[np.minimum(body, len(self.ground) - 1)]
-        return np.where(impact > 0, self.particles[impact - 1, core], ground)
-
-
-def phases_of(plan: Values) -> Phases | None:
-    """The materials of a run, from its plan; None if all its particles are of one material, or the plan cannot be read."""
-    try:
-        particles = [[each["material"]["name"], (each["core"] or each)["material"]["name"]] for each in plan["impacts"]]
-        substrate = [plan["target"]["material"], *(metal for metal, _ in reversed(plan["target"]["layers"]))]
-        ground = [metal["name"] for metal in substrate]
-    except (KeyError, TypeError, ValueError):
-        return None
-    names = list(dict.fromkeys([*chain(*particles), *ground]))
-    if len(set(chain(*particles))) == 1:
-        return None
-    return Phases(names, np.vectorize(names.index)(particles), np.vectorize(names.index)(ground))
 
 
 @dataclass(frozen=True)
@@ -324,18 +280,6 @@ def with_phases(section: Cut, ranges: Mapping[str, Range]) -> dict[str, Range]:
     return {**({PHASE: Range(-0.5, len(section.phases) - 0.5)} if section.phases else {}), **ranges}
 
 
-def colour_of(phase: int, bright: float = BRIGHT) -> tuple[float, float, float]:
-    """Colour of a material, by its index. bright: brightness."""
-    red, green, blue = np.minimum(bright * PHASES[phase % len(PHASES)], 1.0).tolist()
-    return red, green, blue
-
-
-def name_phases(axis: Axes, names: Sequence[str], **options: Any) -> None:
-    """Draw the legend of materials, in the order of their colours. options: of `Axes.legend`."""
-    patches = [Patch(facecolor=colour_of(k)) for k in range(len(names))]
-    axis.legend(patches, names, fontsize=8, **options).set_zorder(8)
-
-
 def outline_of(loops: Sequence[NDArray]) -> Outline:
     """The path round closed lines (k, 2). A closed path of matplotlib ignores its last corner: the first one comes again."""
     return Outline.make_compound_path(*(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops))
@@ -397,17 +341,6 @@ def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = 
     bar.set_label(label, fontsize=size)
 
 
-def fitted(words: str, length: float) -> tuple[str, float]:
-    """Text divided into as few lines as are readable on a length (inches), and the font size, points."""
-    label, size = words, 0.0
-    for width in sorted({len(words), *(i for i, letter in enumerate(words) if letter == " ")}, reverse=True):
-        lines = textwrap.wrap(words, width, break_long_words=False)
-        label, size = "\n".join(lines), min(11.0, 72.0 * length / (LETTER * max(map(len, lines))))
-        if size >= READABLE:
-            break
-    return label, size
-
-
 def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
     """Draw a scale bar of 1, 2 or 5 times a power of ten, um. seen: extent of the picture, um."""
     left, right, bottom, top = seen
@@ -418,28 +351,6 @@ def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
     axis.plot([x, x + length], [z, z], color="black", linewidth=3, solid_capstyle="butt", zorder=7)
     style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": fontsize, "zorder": 7}
     axis.annotate(f"{length:g} µm", (x + length / 2, z), (0.0, 4.0), **style)
-
-
-def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """An empty white figure with a size in inches that does not depend on a screen."""
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a position in a figure; all lengths in inches."""
-    across, down = figure.get_size_inches()
-    return figure.add_axes((left / across, bottom / down, width / across, height / down))
-
-
-def label_log(axis: Axis, factor: float = 1.0) -> None:
-    """Label a logarithmic axis, whose limits are already set, at 1, 2, 5 times powers of ten; a short axis gets evenly spaced labels.
-    factor: from the values to the unit of the labels."""
-    low, high = sorted(axis.get_view_interval())
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 LONGEST_HEADING = 56  # characters beside the time at the full size of the font
@@ -482,21 +393,3 @@ def section_figure(result: Result, step: int = -1) -> Figure:
     at, names = stage(result), ("T", "eps_p")
     section = cut(result, step, names, at, view(result, [step], at))
     return panels(section, with_phases(section, {name: colour_range([section], name) for name in names}), title(result))
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG. Raises StoreError if the file cannot be written."""
-    with replacing(path) as part:
-        figure.savefig(part, format="png", metadata={"Software": MARK})
-
-
-def embedded(figure: Figure, dpi: float | None = None) -> str:
-    """A figure as the data URL of a PNG image. dpi: resolution, by default that of the figure."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi or figure.dpi)
-    return image_of(stream.getvalue())
-
-
-def image_of(png: bytes) -> str:
-    """The data URL of a PNG image."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()

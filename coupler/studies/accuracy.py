@@ -11,7 +11,7 @@ from ..measures import CONVERGING, axis_label, measure
 from ..plan.cost import LEAST_POINTS
 from ..plan.reading import Scene
 from ..plan.refinement import at_points
-from ..report.picture import blank, label_log, save
+from ..report.figure import blank, label_log, save
 from ..report.words import shown
 from .runs import Log, results
 from .table import in_columns

@@ -20,7 +20,9 @@ from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from ..report import picture
-from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
+from ..report.figure import blank, save
+from ..report.phases import colour_of, name_phases, phases_of
+from ..report.picture import MICRO, Stage, colour_range, cut, cut_cold, panels, read, scale_bar
 from .coating import CoatingMeasures, Growth
 from .splats import Splats
 from .table import write_rows
@@ -56,7 +58,7 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     x = np.linspace(-radius, radius, 400)
     places = np.column_stack([x, np.full(len(x), plane)])
     ground = (np.column_stack([x, splats.ground(places)]) * MICRO,)
-    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=picture.phases_of(result.plan))
+    at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=phases_of(result.plan))
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
         return path
@@ -102,7 +104,7 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
         tone = 0.45 + 0.08 * (number % 2) if came == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours differ
         style = {"edgecolor": "0.1", "linewidth": 0.8 if came else 2.0, "facecolor": (tone, tone, tone)}
         if came:
-            style["facecolor"] = picture.colour_of(names.index(splats.material(number, came)), tone)
+            style["facecolor"] = colour_of(names.index(splats.material(number, came)), tone)
         loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
         if loops:
             outline = picture.outline_of(loops)
@@ -114,7 +116,7 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
     scale_bar(axis, seen)
     if len(names) > 1:
-        picture.name_phases(axis, names, loc="upper right")
+        name_phases(axis, names, loc="upper right")
     save(figure, path)
     return path
 

@@ -24,7 +24,7 @@ from ..plan import refinement
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
-from ..report.picture import blank, save
+from ..report.figure import blank, save
 from ..scene.toml import toml_text
 from .runs import Log, how_ended, results
 from .table import write_rows

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from ..measures import Measure, axis_label, measure
-from ..report.picture import blank, save
+from ..report.figure import blank, save
 from .runs_table import MEASURES, Row, errors_of
 from .table import write_rows
 

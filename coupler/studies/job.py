@@ -21,8 +21,8 @@ from ..plan.job import Coatings, Feed, Job, Search, seconds
 from ..plan.reading import Scene
 from ..plan.text import duration
 from ..report import parts
+from ..report.figure import blank, embedded, image_of
 from ..report.page import Page
-from ..report.picture import blank, embedded, image_of
 from . import coating_files
 from .coating import read
 from .critical import Bracket

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import StoreError
 from ..files.inputs import reading
 from ..measures import BROKEN, EMBEDDED, MEASURES, REBOUNDS, STICKS, UNDECIDED, Measure, axis_label, measure
-from ..report.picture import blank, label_log, save
+from ..report.figure import blank, label_log, save
 from . import maps
 from .maps import BAND, FORMULAS, LOGARITHMIC, Interpolation, shown
 from .runs_table import Row, errors_of, others_that_vary

@@ -14,7 +14,7 @@ from ..measures import REBOUNDS, STICKS
 from ..plan.job import Job
 from ..plan.passes import spot_of
 from ..plan.powder import table_of
-from ..report.picture import blank, save
+from ..report.figure import blank, save
 from ..scene.job import TrackSpray
 from ..spray.track import CELLS, Gun, measures, waves
 from .runs_table import table

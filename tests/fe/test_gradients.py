@@ -22,7 +22,8 @@ from coupler.particle.compiled_kernels import grow_gradients
 from coupler.particle.engine import ENGINES
 from coupler.particle.model import Deformation
 from coupler.physics import constitutive
-from coupler.physics.materials import NYE_FACTOR, Material, from_table, material
+from coupler.physics.dislocations import NYE_FACTOR
+from coupler.physics.materials import Material, from_table, material
 from coupler.plan.cost import STRAIN_OF_FLOW
 from coupler.plan.model import Decision
 from coupler.plan.planning import plan

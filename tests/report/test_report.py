@@ -24,8 +24,10 @@ from coupler.plan.record import plan_text
 from coupler.report import picture, screen, section_picture
 from coupler.report.compare import _change
 from coupler.report.fields import FIELDS, from_points
+from coupler.report.figure import READABLE, axes_at, blank, label_log
 from coupler.report.page import report
-from coupler.report.picture import axes_at, blank, cut, label_log, stage, view
+from coupler.report.phases import colour_of, phases_of
+from coupler.report.picture import cut, stage, view
 from coupler.report.profiles import on_vertical, profiles
 from coupler.report.words import alerts, remarks, span, summary_table, title
 
@@ -72,13 +74,13 @@ def test_outline_of_a_hollow_ball(plane):
 @pytest.mark.parametrize("length", [0.9, 1.3, 3.0])
 def test_the_label_of_a_colour_bar_is_no_longer_than_the_bar(length: float) -> None:
     """A coating is wide and flat: 'equivalent plastic strain' at its full size is longer than the section is high."""
-    figure = picture.blank(8.0, 4.0, dpi=100)
-    box = picture.axes_at(figure, 6.0, 0.3, 0.1, length)
+    figure = blank(8.0, 4.0, dpi=100)
+    box = axes_at(figure, 6.0, 0.3, 0.1, length)
     picture.colour_bar(box, "eps_p", picture.Range(0.0, 2.0), length)
     label = box.yaxis.label
     assert label.get_text().split() == ["equivalent", "plastic", "strain"]
     assert label.get_window_extent().height <= 100 * length
-    assert label.get_fontsize() >= picture.READABLE
+    assert label.get_fontsize() >= READABLE
     assert ("\n" in label.get_text()) == (length < 2.0)
 
 
@@ -95,15 +97,15 @@ def test_materials_are_those_of_shell_core_and_layers() -> None:
     layer = [{"material": "Al", "thickness": "10 um"}]
     core = {"material": "Al2O3", "share": 0.3}
     two = several({"core": core}, {"material": "Cu"}, substrate={"material": "SS304", "layer": layer})
-    phases = picture.phases_of(json.loads(plan_text(plan(two)))["plan"])
+    phases = phases_of(json.loads(plan_text(plan(two)))["plan"])
     assert phases is not None
     assert phases.names == ["Ni", "Al2O3", "OFHC_Cu", "SS304", "Al"]
     assert phases.particles.tolist() == [[0, 1], [2, 2]]
     data = {"body": [0, 1, 2, 3, 4], "impact": [0, 0, 1, 1, 2], "core": [0, 0, 0, 1, 0]}
     bodies = Fields(0.0, np.zeros((4, 3)), np.zeros((5, 4), int), {k: np.array(v, float) for k, v in data.items()})
     assert phases.of(bodies).tolist() == [3, 4, 0, 1, 2]
-    assert picture.phases_of(json.loads(plan_text(plan(several({}, {}))))["plan"]) is None
-    assert picture.phases_of({}) is None
+    assert phases_of(json.loads(plan_text(plan(several({}, {}))))["plan"]) is None
+    assert phases_of({}) is None
 
 
 def test_a_section_of_several_materials_shows_them(folder: Path, tmp_path: Path) -> None:
@@ -116,8 +118,8 @@ def test_a_section_of_several_materials_shows_them(folder: Path, tmp_path: Path)
     assert len(coated) > 1.4 * len(plain)
     above = coated[: len(coated) // 3]
     for phase in (0, 2):  # nickel, which has no points of a core here, on steel
-        assert np.isclose(above, picture.colour_of(phase), atol=0.01).all(axis=-1).mean() > 0.02
-    assert not np.isclose(plain[..., :3], picture.colour_of(2), atol=0.01).all(axis=-1).any()
+        assert np.isclose(above, colour_of(phase), atol=0.01).all(axis=-1).mean() > 0.02
+    assert not np.isclose(plain[..., :3], colour_of(2), atol=0.01).all(axis=-1).any()
 
 
 def test_picture_shows_both_fields(folder, tmp_path):

@@ -51,7 +51,7 @@ def page(finished):
 @pytest.fixture
 def without_pictures(monkeypatch):
     """Pictures of the cut are empty: `page` has them, and a browser opens it."""
-    monkeypatch.setattr("coupler.report.picture.embedded", lambda figure: "data:,")
+    monkeypatch.setattr("coupler.report.page.embedded", lambda figure: "data:,")
 
 
 def light(finished: Path, folder: Path) -> Path:

@@ -140,7 +140,7 @@ def test_the_comparison_with_in718_is_that_of_its_table_and_the_picture_marks_wh
     command = shlex.split(kept.read_text().splitlines()[0].partition("remake: coldspray ")[2])
     options = [f"--csv={out}" if word.startswith("--csv") else word for word in command]
     figures: list[Figure] = []
-    monkeypatch.setattr("coupler.report.picture.save", lambda figure, _: figures.append(figure))
+    monkeypatch.setattr("coupler.report.figure.save", lambda figure, _: figures.append(figure))
     monkeypatch.chdir(ROOT)
     assert main([*options, f"--png={tmp_path / 'w.png'}"]) == 0
     said = capsys.readouterr().out
