@@ -25,7 +25,7 @@ from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, ConductionState, take_heat
 from .inertia import ElementInertia, InertiaState, step_for
 from .mesh import TetMesh, cells_of
-from .model import Active, Elements, Metals, Nodes
+from .model import Active, Elements, Metals, Nodes, Viscosity
 from .stability import FrequencyState, HighestFrequency
 from .state import Balance, EdgeState, ElementState, NodeState
 from .window import UNDISTURBED, Edge, outside
@@ -115,6 +115,7 @@ class Target(TargetState):
             np.zeros((n + 1, 3)), np.zeros((len(self.dashpot_nodes), 3)), ElementInertia(), Conduction(n, m) if conduction else None,
         )  # fmt: skip
         self.f_ext, self.dt_of, self.limit = np.zeros((n, 3)), np.zeros(m), np.inf
+        self._bound(m)
         self._weigh()
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
@@ -207,6 +208,11 @@ class Target(TargetState):
         if m < len(distance) and distance[m] < min(self.reach, self.horizon, self.limit):
             self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
+    def _bound(self, m: int) -> None:
+        """Write the safe bound of the stable step of each of the first m elements to `dt_of` (m,) s."""
+        x, J = self.nodes.x, self.nodes.J
+        share(lambda lo, hi: k.stable_dt(lo, hi, x, J, self.cells, self.metals, self.dt_of), m, LEAST_ELEMENTS)
+
     def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Links | None = None) -> float:
         """Largest stable time step, s, with safety factors and damping.
 
@@ -216,10 +222,7 @@ class Target(TargetState):
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
-        nodes = self.nodes
-        share(
-            lambda lo, hi: k.stable_dt(lo, hi, nodes.x, nodes.J, self.cells, self.metals, self.dt_of), e, LEAST_ELEMENTS
-        )
+        self._bound(e)
         if self.inertia.most > 0.0:
             self.inertia.choose(self, self.dt_of[:e], enough)
         bound = float(self.dt_of[:e].min())
@@ -233,14 +236,13 @@ class Target(TargetState):
             dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY)
 
-    def advance(self, dt: float, is_conducting: bool = True, is_viscous: bool = True) -> None:
+    def advance(self, dt: float, is_conducting: bool = True) -> None:
         """Move to n+1 and compute stress and internal forces there; velocities are at n+1/2. dt (s); is_conducting: heat flows
-        between elements; is_viscous: with bulk viscosity. Raises SolverError when a tetrahedron inverts."""
+        between elements. Raises SolverError when a tetrahedron inverts."""
         half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
         self.balance.impulse += half_step * self.support
         self._activate(dt)
-        viscosity = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if is_viscous else (0.0, 0.0)
-        self.move(kicked, half_step, dt, self.inv_mass, viscosity)
+        self.move(kicked, half_step, dt, self.inv_mass, (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY))
         if is_conducting and self.conduction is not None:
             self.conduction.advance(dt, self)
         self.dt_last = dt
@@ -257,7 +259,7 @@ class Target(TargetState):
         """
         sums, active = np.zeros((PARTS, 4)), Active(kicked, self.active_nodes, self.active_elements)
         together(
-            k.advance, active, kick, dt, viscosity, self.cells, self._of_pressure, self._of_flow,
+            k.advance, active, kick, dt, Viscosity(*viscosity, self.dt_of), self.cells, self._of_pressure, self._of_flow,
             Nodes.of(self.nodes, self.f_ext, inv_mass), Elements.of(self.elements), sums,
         )  # fmt: skip
         flipped, plastic, viscous, heat = sums.sum(axis=0).tolist()

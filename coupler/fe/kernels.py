@@ -16,10 +16,11 @@ from ..geometry.matrix_kernels import LARGEST, eigenvalue
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
-from .model import Active, Cells, Elements, Metals, Nodes
+from .model import Active, Cells, Elements, Metals, Nodes, Viscosity
 
 LEAST_ELEMENTS, LEAST_NODES = 250, 400  # in a range of a loop that threads share
 SHAPE_LIMIT = 0.5
+THIN = 2.0  # largest length of the bulk viscosity over the distance of a wave in the stable step of the element
 SHAPE_STIFFNESS = 0.05
 
 
@@ -69,24 +70,23 @@ def shape_strain(J: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def element_forces(
-    lo: int, hi: int, dt: float, viscosity: tuple[float, float], c: Cells, metals: Metals, nodes: Nodes, a: Elements
+    lo: int, hi: int, dt: float, viscosity: Viscosity, c: Cells, metals: Metals, nodes: Nodes, a: Elements
 ) -> Vector:
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
     x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to
     sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; heat receives the heat of the step that makes
-    pressure. viscosity: coefficients of the linear and the quadratic bulk viscosity. Returns the plastic work, the work of the bulk
-    viscosity and the heat that makes pressure, J.
+    pressure. Returns the plastic work, the work of the bulk viscosity and the heat that makes pressure, J.
 
     The laws are records specialised for FLOW (`constitutive.specialised`), or plain records. Only the plastic flow depends on the
     effects of the law: it is computed here, element by element, without fast arithmetic, so that its numbers are the same to the
     last bit whichever effects the kernel omits. All else is computed block by block (`fe.blocks`).
     """
-    laws, (b1, b2), heat = metals.laws, viscosity, a.heat
+    laws, (b1, b2, dt_of), heat = metals.laws, viscosity, a.heat
     plastic = warmth = viscous = 0.0
     w = np.empty((ROWS, BLOCK))
     b = rows_of(w)
-    S, length, div = b.S, b.length, b.div
+    S, div = b.S, b.div
     two_G = np.empty(len(laws))
     for i in range(len(laws)):
         two_G[i] = 2.0 * laws[i].G
@@ -121,10 +121,11 @@ def element_forces(
                 heat[e] = warm
             for k in range(6):
                 a.s[e, k] = S[k, i]
-            # bulk viscosity, linear and quadratic in the rate of compression, over the element's length
+            # bulk viscosity, linear and quadratic in the rate of compression over the length of the element
             if div[i] < 0.0:
                 speed = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
-                qv = law.rho * length[i] * (b2 * b2 * length[i] * div[i] * div[i] - b1 * speed * div[i])
+                length = min(b.length[i], THIN * speed * dt_of[e])
+                qv = law.rho * length * (b2 * b2 * length * div[i] * div[i] - b1 * speed * div[i])
                 loss = -qv * div[i] * dt * b.volume[i]
                 viscous += loss
                 b.pressure[i] += qv
@@ -154,8 +155,8 @@ def gather_forces(lo: int, hi: int, c: Cells, fe: Floats, f: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def advance(
-    team: Ints, active: Active, half_step: float, dt: float, viscosity: tuple[float, float], c: Cells, of_pressure: Metals, of_flow:
-    Metals, nodes: Nodes, elements: Elements, sums: Floats,
+    team: Ints, active: Active, half_step: float, dt: float, viscosity: Viscosity, c: Cells, of_pressure: Metals, of_flow: Metals,
+    nodes: Nodes, elements: Elements, sums: Floats,
 ) -> None:  # fmt: skip
     """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces in the new
     positions, in all threads. The forces before are copied to f_old, f_ext is set to zero.

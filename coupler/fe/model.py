@@ -29,6 +29,16 @@ class Metals(NamedTuple):
     of_node: Ints
 
 
+class Viscosity(NamedTuple):
+    """Bulk viscosity: coefficients b1 of its linear and b2 of its quadratic part; dt_of (m,) s: safe bound of the step of each
+    element. The length of an element is the cube root of its volume, but at most THIN times the distance of a wave in this step: with
+    the first alone, a thin element is not stable at the step of the whole mesh."""
+
+    b1: float
+    b2: float
+    dt_of: Floats
+
+
 class Active(NamedTuple):
     """Numbers of nodes accelerated by the forces at step n, and of nodes and elements computed at step n+1."""
 

@@ -187,17 +187,13 @@ def _moving(
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
-    """Continue for `time` s with real masses and without damping. Returns the largest kinetic energy, J.
-
-    Without bulk viscosity too: its length is the cube root of an element's volume, and in an element much thinner than this it is not
-    stable with the step of the whole mesh.
-    """
+    """Continue for `time` s with real masses and without damping. Returns the largest kinetic energy, J."""
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
         _search(bodies, SEARCH_EVERY * t.stable_dt())
         dt = min(safety.SETTLED * bodies.stable_dt(1.0), left)
         for _ in range(SEARCH_EVERY):
-            t.advance(dt, is_conducting=False, is_viscous=False)
+            t.advance(dt, is_conducting=False)
             bodies.forces(dt)
             t.finish()
             left -= dt

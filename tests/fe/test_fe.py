@@ -10,7 +10,7 @@ from coupler.core import safety
 from coupler.errors import SolverError
 from coupler.fe import explicit, kernels, mesh
 from coupler.fe.explicit import Target
-from coupler.fe.model import Elements, Nodes
+from coupler.fe.model import Elements, Nodes, Viscosity
 from coupler.geometry import mesher
 from coupler.geometry.triangles import areas_and_normals
 from coupler.physics.constitutive import law_record, sound_speed
@@ -59,9 +59,9 @@ def test_forces_are_scikit_fems_linear_form_of_the_same_stress(block: mesh.TetMe
     # the bulk viscosity acts too: rebuild it from the same velocities
     Fm = F - 0.5e-5 * element_gradients(t.nodes.v, block)
     div = np.einsum("eij,eji->e", element_gradients(t.nodes.v, block), np.linalg.inv(Fm))
-    length = t.elements.volume ** (1 / 3)
     law = t.laws[0]
     c = sound_speed(law["rho"], law["K"], law["G"])
+    length = np.minimum(t.elements.volume ** (1 / 3), kernels.THIN * c * t.dt_of)
     q = np.where(div < 0, law["rho"] * length * (1.44 * length * div**2 - 0.06 * c * div), 0.0)
     sigma = np.zeros((len(F), 3, 3))
     for n, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]):
@@ -304,7 +304,7 @@ def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh
         own = {name: vars(t.elements)[name].copy() for name in names}
         for lo, hi in pairwise(cuts):
             elements = Elements.of(t.elements)._replace(**own)
-            kernels.element_forces(lo, hi, 1e-6, (0.06, 1.2), t.cells, t.metals, nodes, elements)
+            kernels.element_forces(lo, hi, 1e-6, Viscosity(0.06, 1.2, t.dt_of), t.cells, t.metals, nodes, elements)
         ends.append(own)
     for own in ends[1:]:
         assert all(np.array_equal(own[name], ends[0][name]) for name in names)

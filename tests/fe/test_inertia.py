@@ -152,16 +152,18 @@ def test_the_surface_is_heavier_until_the_bodies_rest_again() -> None:
     np.testing.assert_array_equal(t.mass, true)
 
 
-def test_without_viscosity_thin_elements_keep_their_energy_at_the_step_of_the_mesh() -> None:
-    """As after an equilibrium. The step is three times the bound of a thin element, whose viscosity has a length of ten heights."""
-    t = flattened()
+def test_viscosity_of_thin_elements_is_stable_at_the_step_of_the_mesh() -> None:
+    """Elements a hundred times as wide as high, at three times their bound: viscosity over the cube root of their volume makes 30 %
+    more energy. Here it takes some, in compression only; velocities half a step late leave an error of 4 %."""
+    points, tets = mesher.box((1.0, 1.0, 1.0), 0.2)
+    t = Target(mesh.prepare(points * [1.0, 1.0, 0.01], tets), law_record(elastic()), 300.0, fixed=(), track_wave=False)
     t.nodes.v[:] = 0.01 * np.random.default_rng(2).standard_normal(t.nodes.v.shape)
     start, own = t.kinetic(), t.stable_dt()
-    for _ in range(30):
+    for _ in range(15):
         dt = safety.SETTLED * t.stable_dt(1.0)
         for _ in range(10):
-            t.advance(dt, is_conducting=False, is_viscous=False)
+            t.advance(dt, is_conducting=False)
             t.finish()
     assert dt > 2.5 * own
-    assert t.balance.numerical == 0.0
-    assert t.kinetic() + t.elastic() == pytest.approx(start, rel=1e-5)
+    assert 0.1 * start < t.balance.numerical < start
+    assert t.kinetic() + t.elastic() + t.balance.numerical == pytest.approx(start, rel=0.06)
