@@ -70,10 +70,10 @@ def row_of(*key: str) -> dict[str, object]:
     eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
         "impact_m_s": particle.velocity, "impact_K": particle.temperature,
-        "stress_MPa": coating.in_plane(inner, all_.window_radius_m, "stress")[0] * 1e-6,
+        "stress_MPa": coating.in_plane(inner, all_.disc_radius_m, "stress")[0] * 1e-6,
         "stress_all_MPa": all_.stress_in_plane_Pa * 1e-6, "thermal_all_MPa": all_.thermal_in_plane_Pa * 1e-6,
         "density": 100.0 * (1.0 - all_.porosity_open - all_.porosity_closed), "overlap_share": 100.0 * all_.overlap_share,
-        "strain": flattening_strains(inner, all_.window_radius_m).mean(), "eps_p": float(eps_p),
+        "strain": flattening_strains(inner, all_.disc_radius_m).mean(), "eps_p": float(eps_p),
         "thickness_um": all_.thickness_mean_m * 1e6, "drift": drift, "cpu_s": cpu,
     }  # fmt: skip
 

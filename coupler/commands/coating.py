@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
     option = options.add_command(commands, "coating", run, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run of several impacts, finished or not")
     option("--out", type=options.path, metavar="DIR", help="folder for the output files (default: DIR/coating)")
-    option("--window", type=options.quantity("--window", "length"), metavar="L",
+    option("--disc", type=options.quantity("--disc", "length"), metavar="L",
            help='radius of the measured disc, such as "20 um" (default: 0.6 times the radius of the coated area)')  # fmt: skip
     option("--section", type=options.quantity("--section", "length", positive=False), metavar="L",
            help="y of the cross-section (default: the plane that cuts the most particles)")  # fmt: skip
@@ -45,13 +45,13 @@ def run(arguments: argparse.Namespace) -> int:
         spread.compute(others, arguments.run / coating_seeds.FOLDER, options.jobs_of(arguments), options.teller(False))
     with reading(arguments.run), options.working("measuring the coating") as progress:
         splats = coating.read(result)
-        measures = coating_seeds.measured(result, splats, arguments.window)
+        measures = coating_seeds.measured(result, splats, arguments.disc)
         coating_files.write_measures(folder, measures)
         progress.stage("measuring the growth of the coating")
-        coating_files.write_growth(folder, coating.growth(result, arguments.window))
+        coating_files.write_growth(folder, coating.growth(result, arguments.disc))
         progress.stage("drawing pictures and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
-        radius = 1.3 * measures.window_radius_m / coating.DISC
+        radius = 1.3 * measures.disc_radius_m / coating.DISC
         plane = stage(result).plane if arguments.section is None else arguments.section
         coating_files.section(result, splats, folder / "section.png", radius, heading, plane)
         coating_files.micrograph(splats, folder / "micrograph.png", radius, plane)

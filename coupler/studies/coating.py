@@ -125,7 +125,7 @@ class CoatingMeasures:
     undecided: int
     deposition_efficiency: float
     least_efficiency: float
-    window_radius_m: float
+    disc_radius_m: float
     column_m: float
     thickness_mean_m: float
     thickness_min_m: float
@@ -162,7 +162,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     return CoatingMeasures(
         impacts=finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
         undecided=len(splats.undecided), deposition_efficiency=splats.deposition_efficiency,
-        least_efficiency=splats.least_efficiency, window_radius_m=radius, column_m=COLUMN * size,
+        least_efficiency=splats.least_efficiency, disc_radius_m=radius, column_m=COLUMN * size,
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=stress, stress_error_Pa=error, thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress")[0],
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
@@ -260,7 +260,7 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
             f"{row['material']} {row['volume_share']:.1%} of the volume, {row['deposited_share']:.1%} of the mass deposited"
             for row in measures.materials
         ),
-        "measured": f"within {um['window_radius_m']} of the axis, away from the rim of the coated area",
+        "measured": f"within {um['disc_radius_m']} of the axis, away from the rim of the coated area",
         "error": "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS,
     }
     one_each = {row["metal"] for row in measures.phases} == {row["material"] for row in measures.materials}

@@ -56,7 +56,7 @@ def measured(result: Result, splats: Splats, radius: float | None = None) -> Coa
     """`coating.measure` of a run, with errors from the finished runs of other seeds in its folder. radius: radius of the disc, m."""
     own, runs = measure(splats, radius), sorted((result.directory / FOLDER).glob("*/summary.json"))
     others = [other for path in runs if _but_its_seed(other := Result(path.parent)) == _but_its_seed(result)]
-    return replace(own, seeds=errors([own, *(measure(read(other), own.window_radius_m) for other in others)]))
+    return replace(own, seeds=errors([own, *(measure(read(other), own.disc_radius_m) for other in others)]))
 
 
 def _but_its_seed(result: Result) -> dict[str, object]:
