@@ -24,7 +24,7 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 class ContactPast(NamedTuple):
     """Data of the contact between the previous bodies, from which the contact between the new bodies continues.
 
-    nodes (N,): contact history of each node; sums: sums over all steps so far, as in `Contact`.
+    nodes (N,): contact history of each node; sums: energies of the contact over all steps so far.
     """
 
     nodes: Histories
@@ -39,19 +39,19 @@ class ContactPast(NamedTuple):
 
 @dataclass(eq=False)
 class BodyContactState:
-    """State of a `BodyContact`. pairs: contact of points and facets; bonded (N,): mask of the nodes whose compression is resisted by
-    a bond, not by the contact."""
+    """State of a `BodyContact`. pairs: contact of nodes with facets; bonded (N,): mask of the nodes at which a bond, not the
+    contact, resists compression."""
 
     pairs: ContactState
     bonded: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
 class BodyContact(BodyContactState):
-    """Contact of the surface nodes of each body with the facets of all other bodies: neither side of a pair penetrates the other.
+    """Contact of the surface nodes of each body with the facets of all other bodies, in both directions for each pair of bodies.
 
-    The contact stiffness uses the mean area per node, from the facet spacing of the body's surface. For the substrate, whose mesh
-    becomes coarser outwards, it uses the facet spacing of the first splat. Friction: as in `Contact`. A bonded node has no contact
-    with the body to which it is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
+    The contact stiffness of a node follows from the mean area per node of its body's surface; on the substrate, whose mesh becomes
+    coarser outwards, from that of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body to which
+    it is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
     """
 
     pairs: Contact
@@ -88,8 +88,8 @@ class BodyContact(BodyContactState):
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """For each body, the facets of other bodies that its nodes can touch. During an impact, two surfaces cannot touch if their
-        distance is larger than half the size of the largest splat."""
+        """For each body, the facets of other bodies within reach of its nodes. The reach is half the size of the largest splat:
+        surfaces farther apart cannot touch during an impact."""
         s = self.surfaces
         low, high = s.boxes(x)
         boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
@@ -126,8 +126,8 @@ class BodyContact(BodyContactState):
     ) -> None:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m relative to each other. active, v: see `Contact.search`.
 
-        x (N,3) m. Compression at broken bonds and at bonds with large slip passes from the bond to the contact (`Bond.release`); the
-        spring energy lost in this change is added to `sums.lost`, J. Raises SolverError when the positions are not finite numbers.
+        x (N,3) m. Afterwards the contact resists compression at bonds that are broken or have a large slip (`Bond.release`); the
+        lost spring energy is added to `sums.lost`, J. Raises SolverError when the positions are not finite numbers.
         """
         given_up = bond.release() if bond is not None else 0.0
         bonded, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
@@ -157,7 +157,7 @@ class BodyContact(BodyContactState):
         c.expire(new)
 
     def reduce_overlap(self, share: float) -> None:
-        """Multiply the ignored depths of active nodes by `share`: the contact pushes the bodies apart."""
+        """Multiply the depths without force (`ignore_depth`) of active nodes by `share`: the contact then pushes the bodies apart."""
         ignored, rows = self.pairs.history["ignored"], self.pairs.rows
         ignored[rows] = np.where((ignored[rows] > 0.0) & (ignored[rows] < ALL), share * ignored[rows], ignored[rows])
 

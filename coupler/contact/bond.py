@@ -35,10 +35,10 @@ class Bond:
     the strength, and one of infinite energy flows at the strength.
 
     Arrays of n bonds: nodes (or points that are not nodes); triangles, weights: the point on a triangle to which each is bonded; gap
-    (m); area (m2); stiffness Pa/m; strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the strength that remains
-    after slip under contact pressure; loose (n,): mask of the bonds whose compression is resisted by the contact; damage, 0 to 1:
-    lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent slip; spent (J): dissipated
-    energy; heated (J): part of it that has become heat of the bodies. stored, dissipated: energies of all bonds, J.
+    (m) without normal force; area (m2); stiffness (Pa/m); strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the
+    strength that remains after slip under contact pressure; loose (n,): mask of the bonds whose compression the contact resists;
+    damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent slip; spent
+    (J): dissipated energy; heated (J): part of it that has become heat of the bodies. stored, dissipated: energies of all bonds, J.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
@@ -97,7 +97,7 @@ class Bond:
 
     @classmethod
     def between(cls, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float, **law: Any) -> "Bond":
-        """Bonds between the nodes of an interface and its facets. law: as in `tie`."""
+        """Bonds between the nodes and the facets of an interface. law: strength, energy and the other arguments of `tie`."""
         return cls.tie(where.nodes, surfaces.facets[where.facet], x, x, where.area, stiffness, **law)
 
     def __len__(self) -> int:
@@ -116,8 +116,8 @@ class Bond:
     def forces_on(
         self, xp: np.ndarray, f_point: np.ndarray, x: np.ndarray, f: np.ndarray, depth: np.ndarray, active: int
     ) -> None:  # fmt: skip
-        """`forces` of bonds whose points xp are not nodes. depth (n,) m: penetration of each point in its contact
-        (`bond_kernels.bond_forces`)."""
+        """As `forces`, for bonds whose points xp are not nodes: forces on the points are added to f_point. depth (n,) m:
+        penetration of each point in its contact (`bond_kernels.bond_forces`)."""
         ties = k.Ties(
             self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, *self._inverses, self.rewelds,
             self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
@@ -132,7 +132,7 @@ class Bond:
 
     @property
     def work(self) -> float:
-        """Stored and dissipated energy of all bonds, J."""
+        """Sum of the stored and the dissipated energy of all bonds, J."""
         return self.stored + self.dissipated
 
     @property
@@ -156,7 +156,7 @@ class Bond:
         return Links.of(self.nodes, self.triangles, self.weights, self.stiffness * self.area)
 
     def release(self) -> float:
-        """Remove broken bonds, and make bonds with a slip above MAX_SLIDE loose: the contact resists their compression.
+        """Remove broken bonds, and make bonds with a slip above MAX_SLIDE loose: from now on the contact resists their compression.
 
         Returns the energy (J) that the compression of these bonds stored.
         """
@@ -190,8 +190,8 @@ class Bond:
         self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
 
     def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
-        """Increase the stiffness of bonds `rows` (k,) by factors (k,), at most to the median of all bonds, N/m. Bonds that become
-        stiffer start again without force in the positions x (N,3) m (`move`)."""
+        """Increase the stiffness of bonds `rows` (k,) by factors (k,), at most to the median stiffness of all bonds, N/m. Bonds
+        that become stiffer start again without force in the positions x (N,3) m (`move`)."""
         if len(rows) == 0:
             return
         springs = self.stiffness * self.area
@@ -242,7 +242,7 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check(bond: Bond) -> None:
-    """Raise SolverError if strength, energy and stiffness of a bond are not admissible."""
+    """Raise SolverError if strength, energy and stiffness of a bond do not fit each other."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
         raise SolverError(

@@ -11,8 +11,8 @@ from ..geometry.vector_kernels import add, area_vector, cross, from_foot
 
 
 class Ties(NamedTuple):
-    """Bonds between points and points on triangles, one row per bond as in `bond.Bond`. Columns: normal, shear. inv_strength (n,2)
-    1/Pa; inv_energy (n,2) m2/J: 1 / fracture energy.
+    """Bonds between points and points on triangles, one row per bond, as in `bond.Bond`. inv_strength (n,2) 1/Pa, inv_energy (n,2)
+    m2/J: 1 / strength and 1 / fracture energy, normal and shear.
 
     gap: height of the point above the triangle, along its normal n, at which the bond has no normal force. With the stiffness k,
     Pa/m, and the vector d from the bond's point on the triangle to the other point, the potential is
@@ -94,9 +94,9 @@ def yielding(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Permanent shares of the elastic opening and of the elastic slip in this step, and the new damage. D: damage before the step.
 
-    wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; inv_strength (2,) 1/Pa: in tension and shear; inv_G (2,) m2/J: 1 /
-    fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset criterion of Camanho &
-    Davila (2002), NASA/TM-2002-211737. At this locus the opening flows normal to it (Drucker 1951):
+    wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; inv_strength (2,) 1/Pa: 1 / N in tension, 1 / S in shear; inv_G
+    (2,) m2/J: 1 / fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset criterion of
+    Camanho & Davila (2002), NASA/TM-2002-211737. At this locus the opening flows normal to it (Drucker 1951):
 
         dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = (t_n dp_n / G_I + t_s dp_s / G_II) / 2 (1 - D)
 
@@ -129,8 +129,8 @@ def bond_forces(
 
     depth (n,) m: positive: penetration of point i in its contact; 0: only a neighbour of the point is in contact (`in_contact`);
     negative: no contact. In contact the normal traction is compressive: delta is 0 and gap follows the surface, so that the opening
-    starts where the contact ends. Slip then reduces the strength by at most the share 1 - rewelds. loose bonds leave compression
-    to the contact. active: number of nodes that move, the first ones; bonds between other nodes do not change and add no forces.
+    starts where the contact ends. In contact, slip reduces the strength by at most the share 1 - rewelds. `loose` bonds do not resist
+    compression. active: number of nodes that move, the first ones; bonds between other nodes do not change and add no forces.
     """
     stored = lost = 0.0
     for i in range(len(b.nodes)):
@@ -219,11 +219,11 @@ def _add_reaction(
 def in_contact(
     rows: Ints, start: Ints, ring: Ints, penetration: Floats, gaps: Floats, reach: float, depth: Floats
 ) -> None:  # fmt: skip
-    """Write the depth (n,) m of the points `rows`, an argument of `bond_forces`, to `depth`.
+    """Write the argument `depth` (n,) m of `bond_forces`, for the points `rows` (n,).
 
-    penetration, gaps (k,) m: those of all points; ring[start[i]:start[i + 1]]: neighbours of row i. Two different triangulations
-    touch only at some of their points. Therefore a point that is closer than `reach` (m) to the other surface and has a neighbour in
-    contact counts as in contact, too.
+    penetration, gaps (k,) m: of all points; ring[start[i]:start[i + 1]]: neighbours of the point rows[i]. Two different
+    triangulations touch only at some of their points. Therefore a point that is closer than `reach` (m) to the other surface and
+    has a neighbour in contact counts as in contact, too.
     """
     for i in range(len(rows)):
         depth[i] = penetration[rows[i]]

@@ -45,7 +45,7 @@ def boxes_of(x: Floats, facets: Ints) -> tuple[Floats, Floats]:
 
 @njit(cache=True, nogil=True)
 def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
-    """Numbers of the boxes among `ids` that overlap the box [least, most]. low, high (k,3): all boxes."""
+    """Indices of the boxes among `ids` that overlap the box [least, most]. low, high (k,3): all boxes."""
     overlapping = np.empty(len(ids), np.int64)
     count = 0
     for i in ids:
@@ -108,8 +108,8 @@ class _Pairing(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
-    """Number of the points of other bodies within whose reach box r lies. They are written to `found` from index `at` on, if it has
-    room."""
+    """Count the points of other bodies that have box r within their reach. Write their indices to `found` from index `at` on, if
+    there is room."""
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for d in range(3):
         start, stop = p.low[r, d] - p.most - p.origin[d], p.high[r, d] + p.most - p.origin[d]
@@ -137,8 +137,8 @@ def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _points_of_boxes(team: Ints, p: _Pairing, number: Ints, first: Ints, found: Ints) -> None:
-    """Do `_points_of_box` for all boxes, in all threads. Writes its result to number (k,); first (k,): the index of each box in
-    `found`."""
+    """Do `_points_of_box` for all boxes, in all threads. Writes the counts to number (k,); first (k,): first index in `found` for
+    each box."""
     for lo, hi, _ in ranges(team, 0, len(number), LEAST_BOXES):
         for r in range(lo, hi):
             number[r] = _points_of_box(r, p, found, first[r])
@@ -168,5 +168,5 @@ def pairs_within(
 
 
 def facets_within(x: Floats, facets: Ints, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
-    """Numbers of the triangles among `ids` whose bounding boxes overlap the box [least, most]."""
+    """Indices of the triangles among `ids` whose bounding boxes overlap the box [least, most]."""
     return np.asarray(ids[boxes_within(*boxes_of(x, facets[ids]), np.arange(len(ids)), least, most)], np.int64)

@@ -154,7 +154,7 @@ def closest_faces(
     """Project point i on the closest of its candidates. If the point lies inside a body that is not the closest one, or inside
     several bodies, project it on the closest faces of the two bodies in which it lies deepest.
 
-    Without the second body a point in the gap between two bodies, each in contact with a third, could enter the third body.
+    Otherwise a point in a gap between two bodies, with a third body at the bottom of the gap, could enter the third body.
 
     x (N,3) m: nodes; shift: largest displacement of a node since the boxes of the faces were updated, m; limit: largest penetration
     that counts in a body that is not the closest one, m.
@@ -189,11 +189,11 @@ def closest_faces(
 def reachable(
     rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, proj: Projections
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """Candidates (start, face) that the points `rows` can touch while a point of the body b and a face move by travel[b] m relative to
-    each other.
+    """Candidates (start, face) that the points `rows` can touch before a point of the body b and a face have moved by travel[b] m
+    relative to each other.
 
-    These candidates are at most 2 travel farther away than the closest face. With candidates of several bodies they are at most 2
-    travel farther away than the limit (k,) m of their row. A point without a closest face keeps all its candidates. Points that are
+    These are at most 2 travel farther away than the closest face or, if the point has candidates of several bodies and its limit
+    (k,) m is larger than this distance, than the limit. A point without a closest face keeps all its candidates. Points that are
     not in `rows` keep none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)

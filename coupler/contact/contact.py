@@ -61,8 +61,8 @@ class _Search:
     """Data of the last search of one body's points.
 
     reach (m): the search is valid while points and faces have moved less than this relative to each other; known (k,): mask of near
-    faces among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions of these nodes and of the body's points,
-    m.
+    faces among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions (m) of these nodes and of the body's
+    points at the search.
     """
 
     known: np.ndarray
@@ -81,10 +81,10 @@ class Contact(ContactState):
     ):  # fmt: skip
         """owner (n,): body of each point, ascending from 0; facets (k,3): nodes, normal outwards; body (k,): body of each facet;
         stiffness N/m, spacing (m): spacing of the points of each body; share: share of the friction heat that goes to the points;
-        jump: largest inward motion of a point in one step, in spacings: a deeper point did not enter through this surface and has no
-        contact until it is outside again; node (n,): node of each point in the domain (default: points are not nodes); facing: for
-        each body, the facets that its points can ever touch (default: all); skin: spacings added to the search distance: the search
-        stays valid while surfaces move this far."""
+        jump: largest inward motion of a point in one step, in spacings: a point that moves farther did not enter through this
+        surface, and has no contact until it is outside again; node (n,): node of each point in the domain (default: points are not
+        nodes); facing: for each body, the facets that its points can ever touch (default: all); skin: spacings added to the search
+        distance: the search stays valid while surfaces move this far."""
         n, bodies = len(owner), len(spacing)
         self.constants, self._skin = Constants(friction, share, jump), skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
@@ -136,7 +136,7 @@ class Contact(ContactState):
         self.expire()
 
     def expire(self, which: np.ndarray | slice = slice(None)) -> None:
-        """Make the next search include all bodies that own points of a mask (n,); default: all bodies."""
+        """Make the next `search` list new candidates for all bodies that own points of a mask (n,); default: all bodies."""
         for body in np.unique(self.points.owner[which]):
             self._searches[body].reach = -np.inf
 
@@ -159,8 +159,8 @@ class Contact(ContactState):
 
         xp (n,3), x (N,3) m: points and nodes; always: points that are always in `rows`; active: number of nodes that move, the
         first ones (default: all): a point at rest whose near faces are at rest keeps its forces and is not in `rows`; v (N,3) m/s:
-        with velocities, a slow surface moves only its share of `travel`. Returns whether a body was searched: the candidates of a
-        body's points stay valid until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
+        with velocities, a slow surface moves less than `travel`. Returns whether any body has new candidates: old ones are kept
+        until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
@@ -227,8 +227,8 @@ class Contact(ContactState):
     def _find(
         self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
     ) -> None:
-        """Find the candidate faces of the points of bodies. The candidates are valid until points and faces of the body b have moved
-        travel[b] m relative to each other."""
+        """Find the candidate faces of all points of `bodies`. They stay valid until the points of body b have moved travel[b] m
+        relative to the faces."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
         chosen = np.zeros(len(self.spacing), bool)
         chosen[bodies] = True
@@ -268,7 +268,7 @@ class Contact(ContactState):
         self._list_pushes()
 
     def _list_pushes(self) -> None:
-        """Make the arrays of the forces of the points `rows`."""
+        """Allocate the arrays for the forces on the points `rows`."""
         force, couple, heat = (np.zeros((len(self.rows), *shape)) for shape in ((2, 3), (3, 3), (2,)))
         self._pushes = Pushes(self.rows, force, couple, heat, self.heat_point, self.heat_face)
 
@@ -290,8 +290,8 @@ class Contact(ContactState):
         self._candidates = Candidates(start, face)
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
-        """Split the points `rows`: points that move or have a candidate that moves, and the others. The search of the others is
-        valid until one of their nodes or of the nodes of their candidates becomes active."""
+        """Split the points `rows`: points that move or have a candidate that moves, and the others. The search of the others stays
+        valid until their node, or a node of their candidates, becomes active."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
         np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
@@ -319,7 +319,7 @@ class Contact(ContactState):
     def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
         """Points (k,) among the first `first` ones that touch in this step, and the facet (k,) under each.
 
-        within (m): points closer than this touch too, because a point in contact can lose it for single steps.
+        within (m): points closer than this also count, because a touching point can lose its contact for single steps.
         """
         rows = self.rows[self.rows < first]
         rows = rows[self.gap[rows] < within] if within > 0.0 else rows[self.depth[rows] > 0.0]

@@ -83,8 +83,8 @@ def begin_search(
     team: Ints, due: Bools, travel: Floats, least: Floats, most: Floats, known: Bools, points: Points, proj: Projections, history:
     Histories, state: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Prepare a search of the points of the bodies in the mask due (bodies,), in all threads: margins, no projection, and no known
-    gap for points that are not in the mask known (n,).
+    """Prepare a search of the points of the bodies in the mask due (bodies,), in all threads: set their margins and delete their
+    projections. Points outside the mask known (n,) get the clearance -inf.
 
     travel (bodies,) m: relative displacement of points and faces up to which the search is valid; least, most (3,) m: bounding box of
     the faces. Writes state (n,): NEAR for points within their margin of this box, plus SHEARED for points with a friction spring.
@@ -111,8 +111,8 @@ def begin_search(
 
 @njit(cache=True, nogil=True)
 def end_search(team: Ints, state: NDArray[np.uint8], history: Histories) -> None:
-    """Delete the depths of points with the state AWAY or OUTSIDE (n,), and all contact history of the latter but for their spring,
-    in all threads."""
+    """Set the depths of points with the state AWAY or OUTSIDE (n,) to zero. For points OUTSIDE, delete also the rest of the history
+    except the friction spring. In all threads."""
     for lo, hi, _ in ranges(team, 0, len(state), LEAST_SEARCHED):
         for i in range(lo, hi):
             h = history[i]
@@ -293,7 +293,7 @@ def _push(
     h: History,
     p: Pushes,
 ) -> None:
-    """Write the force, the couple and the heat of row q, whose point has the history h."""
+    """Write the force, the couple and the heat of row q to p. h: history of the point of this row."""
     i, mu, share = p.rows[q], c.friction, c.share
     force, couple, heat, heat_point = p.force[q], p.couple[q], p.heat[q], p.heat_point
     force[:], couple[:], heat[:] = 0.0, 0.0, 0.0
@@ -332,8 +332,8 @@ def contact_forces(
     team: Ints, dt: float, constants: Constants, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion,
     proj: Projections, history: Histories, pushes: Pushes, sums: Floats,
 ) -> None:  # fmt: skip
-    """`project` the points pushes.rows, compute the forces between them and their closest faces, and add them to points.f and nodes.f,
-    in all threads. sums (PARTS,3): as `lost` of `project`, and in the first row the heat of friction, J.
+    """`project` the points pushes.rows, compute the forces between them and their closest faces, and add them to points.f and
+    nodes.f, in all threads. sums (PARTS,3): the columns of `lost` in `project`, and the heat of friction, J, in the first row.
 
     Forces are opposite and equal, and their moments cancel. The penetration is minus the signed gap, less the ignored depth. The
     normal force acts along the line to the closest point (`_normal`). Friction acts only with the body in which the point lies
@@ -377,7 +377,7 @@ def energy(points: Points, history: Histories) -> float:
 
 @njit(cache=True, nogil=True)
 def gather(rows: Ints, points: Points, nodes: Nodes) -> None:
-    """Copy positions and velocities of the nodes to the points `rows`, and set their forces to zero."""
+    """Copy positions and velocities of the nodes to the points `rows`, and set the forces on these points to zero."""
     for i in rows:
         for d in range(3):
             points.x[i, d], points.v[i, d], points.f[i, d] = nodes.x[points.node[i], d], nodes.v[points.node[i], d], 0.0

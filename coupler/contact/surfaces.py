@@ -83,7 +83,7 @@ class Interface:
 
     nodes (n,); facet (n,): numbers in `Surfaces`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m: signed
     distance to it; area (n,) m2: a third of the area of those own facets whose three nodes all lie on other bodies. own (p,2):
-    pairs of a row and one of these own facets.
+    pairs (row, own facet) with these facets.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64)]

@@ -1,9 +1,9 @@
 """Kinematics and nodal forces of tetrahedra, in blocks of elements that lie side by side in memory: loops without branches or
 scattered memory compile to vector instructions.
 
-Nothing here depends on the effects of the law: numba compiles it once for all choices of effects. Both functions must be inlined
-into the function that makes w: only there the compiler sees that the rows of w do not overlap. Without vector instructions an
-elastic step takes 1.6 times as long.
+This module does not depend on the effects of the law: numba compiles it once for all choices of effects. `kinematics` and
+`nodal_forces` must be inlined into the function that allocates w: only there the compiler sees that the rows of w do not overlap.
+Without vector instructions an elastic step takes 1.6 times as long.
 """
 
 from typing import NamedTuple
@@ -62,7 +62,7 @@ def _cofactor(
 def edge_cofactors(
     o: Floats, a: Floats, b: Floats, c: Floats,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Cofactors and determinant (six volumes) of the matrix whose rows are the edges of a tetrahedron from corner o to a, b and c."""
+    """Cofactors and determinant (6 V) of the matrix whose rows are the edges of a tetrahedron from corner o to a, b and c."""
     return _cofactor(
         a[0] - o[0], a[1] - o[1], a[2] - o[2], b[0] - o[0], b[1] - o[1], b[2] - o[2], c[0] - o[0], c[1] - o[1], c[2] - o[2]
     )  # fmt: skip
@@ -70,7 +70,7 @@ def edge_cofactors(
 
 @njit(cache=True, nogil=True, inline="always")
 def _nine(rows: Floats, i: int) -> Matrix:
-    """Column i of nine rows: a matrix, row by row."""
+    """The matrix, row by row, in column i of nine rows (9,BLOCK)."""
     return rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
 
 
@@ -78,7 +78,7 @@ def _nine(rows: Floats, i: int) -> Matrix:
 def _turned(
     wx: float, wy: float, wz: float, sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float,
 ) -> Symmetric:  # fmt: skip
-    """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) of a step (Cayley). (wx, wy, wz): axial vector of W/2."""
+    """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) (Cayley). W: spin times dt; (wx, wy, wz): axial vector of W/2."""
     ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
     r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
     r01, r10 = ww * (wx * wy - wz), ww * (wx * wy + wz)
@@ -107,7 +107,7 @@ class Rows(NamedTuple):
     F: NDArray  # (9,BLOCK) deformation gradient at n+1, row by row
     Fdot: NDArray  # (9,BLOCK) its rate at n+1/2, 1/s
     C: NDArray  # (9,BLOCK) cofactors of F
-    S: NDArray  # (6,BLOCK) deviator: at n, on trial, returned; Pa
+    S: NDArray  # (6,BLOCK) deviator at n, then trial deviator, then deviator after the radial return; Pa
     P: NDArray  # (9,BLOCK) -V0 times the first Piola-Kirchhoff stress, J
     two_G_dt: NDArray  # Pa s
     pressure: NDArray  # Pa
@@ -139,7 +139,7 @@ def kinematics(
     """Write the state and the kinematics from n to n+1 of the block of elements that begins with `first` to w (ROWS, BLOCK).
 
     two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): law of each element. A block with fewer elements is filled up
-    with the last element, hi - 1: so the result for an element does not depend on where the range begins.
+    with copies of the last element, hi - 1, so that the result for an element does not depend on where the range begins.
     """
     half = 0.5 * dt
     b = rows_of(w)

@@ -49,7 +49,7 @@ def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndarray, matrix: np.ndarray) -> None:
-    """`add_matrices` for the facets ids (k,) of a mesh, with their normals."""
+    """Do `add_matrices` for the facets ids (k,) of a mesh. normal, tangential: coefficients of each facet."""
     corners = mesh.facets[ids]
     add_matrices(corners, *areas_and_normals(mesh.points, corners), normal, tangential, matrix)
 

@@ -1,4 +1,4 @@
-"""Coarse grid for the dynamic relaxation. Without it a long wave takes as many steps as there are elements across the bodies.
+"""Coarse grid for the dynamic relaxation. Without it a long wave needs a step for each element on its way across the bodies.
 
 A grid of boxes lies over the mesh. Displacements that are linear between grid points get an additional inverse mass, proportional
 to their flexibility, so that all of them have about the same frequency:

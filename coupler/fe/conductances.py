@@ -1,6 +1,6 @@
 """Matrix of heat conduction between the nodes of a target at rest, with a fixed sparsity pattern (numba).
 
-Elements and links conduct in the same way, between each pair of four nodes. Threads share the rows of the matrix.
+Elements and links (thermal contacts) conduct in the same way, between each pair of four nodes. Threads share the rows of the matrix.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # num
 
 class Conductors(NamedTuple):
     """Elements or links that conduct heat. conn (k,4): nodes; w (k,6) m: conductance of each pair of nodes for a conductivity of 1;
-    start, table: conductors around each node, as in `Cells`; slot (4k,4): places of the four nodes of each such conductor in the
-    matrix row of the node."""
+    start, table: conductors around each node, as in `Cells`; slot (4k,4): for each entry of table, the places of the conductor's
+    four nodes in the matrix row of the node."""
 
     conn: Ints
     w: Floats
@@ -71,7 +71,7 @@ class Conductances:
         return cls(of_elements, of_links, from_gas, indptr, found[found >= 0])
 
     def explicit(self, k: np.ndarray) -> csr_array:
-        """The matrix (n,n) W/K for conductivities k (m,) W/mK of the elements; links have the smallest conductivity."""
+        """Conductance matrix (n,n) W/K for conductivities k (m,) W/(m K) of the elements; links have the smallest of these."""
         data, of_link = np.empty(len(self.indices)), np.full(len(self.links.conn), k.min())
 
         def add(lo: int, hi: int) -> None:
@@ -84,8 +84,8 @@ class Conductances:
         return self._of(data)
 
     def implicit(self, K: csr_array, time: float, free: np.ndarray, capacity: np.ndarray) -> csr_array:
-        """The matrix capacity + time K. Rows of fixed nodes, with free (n,) = 0, are those of the identity matrix. capacity (n,) J/K;
-        time (s)."""
+        """The matrix diag(capacity) + time K of an implicit step of `time` s. Rows of fixed nodes, with free (n,) = 0, are those of
+        the identity matrix. capacity (n,) J/K."""
         data = np.empty(len(self.indices))
 
         def write(lo: int, hi: int) -> None:
@@ -159,8 +159,8 @@ def _write_implicit(
 def levels(
     lo: int, hi: int, c: Conductors, metals: Metals, nodal: Floats, T: Floats, share: Floats, k: Floats, excess: Floats, rate: Floats,
 ) -> None:  # fmt: skip
-    """Write, for each element: its conductivity at the mean temperature of its nodes, k (m,) W/mK; its excess over this mean,
-    excess (m,) K; the rate at which the excess decays, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of
+    """Write, for each element: its conductivity at the mean temperature of its nodes, k (m,) W/mK; its temperature less this mean,
+    excess (m,) K; the rate at which this excess decays, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of
     its capacity."""
     for e in range(lo, hi):
         n, w = c.conn[e], c.w[e]

@@ -34,10 +34,10 @@ def cool(
 ) -> dict[str, float]:  # fmt: skip
     """Conduct heat for `time` s in a target at rest. T, sigma_y and ledger change at once, pressures in the next step of the target.
 
-    fixed: nodes at the constant temperature fixed_T, K; links: thermal contacts; gas: conductance (n,) W/K from a gas to each node, and
-    temperature (K) of the gas; all other faces are adiabatic. recover(s): called before and after each step with half its time.
-    Returns the number of steps, the largest and the mean temperature before and after (K), and the heat (J) that has left through
-    fixed nodes and the gas. Raises SolverError when the linear solver does not converge.
+    fixed: nodes at the constant temperature fixed_T, K; links: thermal contacts; gas: conductance (n,) W/K from a gas to each node,
+    and temperature (K) of the gas; all other faces are adiabatic. recover(time): function called before and after each step with
+    half of its time, s. Returns the number of steps, the largest and the mean temperature before and after (K), and the heat (J)
+    that has left through fixed nodes and the gas. Raises SolverError when the linear solver does not converge.
     """
     t = target
     n, m = len(t.nodes.x), len(t.mesh.conn)

@@ -202,7 +202,7 @@ class Target(TargetState):
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
-        """Advance the front, which runs ahead of the waves, by dt s, and activate the elements that it reaches."""
+        """Advance the front, which runs ahead of the waves, for dt s, and activate the elements that it reaches."""
         self.reach += self.wave_speed * dt
         m, distance = self.active_elements, self.mesh.reach_element
         if m < len(distance) and distance[m] < min(self.reach, self.horizon, self.limit):
@@ -295,7 +295,7 @@ class Target(TargetState):
         self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.nodes.x), self.f_ext)
 
     def pull(self) -> None:
-        """Add the forces of the springs at the window's edge and of the half-space."""
+        """Add the forces of the springs at the window's edge and of the half-space to the total forces and to `support`."""
         if self.edge is not None:
             pull = self.edge.pull(self.nodes.x)
             self.nodes.total[self.edge.nodes] += pull
@@ -335,7 +335,7 @@ class Target(TargetState):
             self.edge.load(self, self._active_counts(np.inf)[1])
 
     def start_from(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
-        """Start from a state of nodes and elements (`target.domain`). The balance continues from the target `before`."""
+        """Start from a state of nodes and elements (`target.domain`). The energy balance continues from that of `before`."""
         self.nodes, self.elements = nodes, elements
         self.balance, self.rest_scale = copied(before.balance), before.rest_scale
         self._store_inactive_forces()
@@ -388,8 +388,8 @@ class Target(TargetState):
         return self.mass @ self.velocity()
 
     def elastic(self) -> float:
-        """Recoverable energy in J: of the stress deviators, of the volume change without heat, and of the springs of the half-space
-        and of the window's edge."""
+        """Recoverable energy in J: of the stress deviators, of the volume change without the part due to heat, and of the springs
+        of the half-space and of the window's edge."""
         m, e = len(self.mesh.conn), self.elements  # inactive elements may be under stress
         shear = k.elastic_shear_energy(0, m, self.mesh.V0, self.metals, e.volume, e.s)
         u = self.nodes.x[self.spring_nodes] - self.spring_rest

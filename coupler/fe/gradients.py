@@ -15,8 +15,8 @@ from .model import Cells
 
 @contextmanager
 def growing(target: Target) -> Iterator[None]:
-    """Context of a chunk of steps: at its end the plastic strain of the chunk adds to the gradient, where the gradient hardens a
-    metal."""
+    """Context manager for a chunk of steps. At its end the gradient of the chunk's plastic strain is added to `eps_gradient`, in
+    metals that gradients harden."""
     if not target.laws["gradient_length"].any():
         yield
         return

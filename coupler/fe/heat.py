@@ -3,8 +3,8 @@
 The target stores temperatures in elements, where plastic work heats them; conduction needs temperatures at nodes. Nodes conduct as
 linear tetrahedra with lumped capacities in the current configuration. A rise of temperature in elements raises each node by the
 mean of the elements around it, weighted with heat capacities. Conduction returns *increments* to the elements: each gets the mean
-of its nodes. Therefore an element without heat flow keeps its temperature, and heat is conserved to rounding for any k(T) and
-c_p(T). The excess of an element over the mean of its nodes flows into the nodes at the rate k tr(sum b b^T) / (rho c_p).
+increment of its nodes. Therefore an element without heat flow keeps its temperature, and heat is conserved to rounding for any k(T)
+and c_p(T). The excess of an element over the mean of its nodes flows into the nodes at the rate k tr(sum b b^T) / (rho c_p).
 
 Faces are adiabatic.
 """
@@ -48,8 +48,8 @@ class ConductionState:
 
 class Flow(NamedTuple):
     """Arrays of the kernels. Elements: share (m,) J/K: a quarter of the heat capacity; rate (m,) 1/s; flow (m,4) W: heat flow into
-    the nodes; own (m,) K: decrease towards the mean of the nodes; gain (m,) J; last (m,) K. Nodes: capacity (n,) J/K; T, mean,
-    change (n,) K."""
+    the nodes; own (m,) K: decrease of T towards the mean of the nodes; gain (m,) J: heat gained; last (m,) K. Nodes: capacity (n,)
+    J/K; T, mean, change (n,) K."""
 
     share: Floats
     rate: Floats
@@ -109,7 +109,7 @@ class Conduction(ConductionState):
             self.known_elements = m
 
     def flows(self, t: FiniteElements) -> float:
-        """Write the heat flow between nodes to arrays.flow, W. Returns the fastest rate of an element, 1/s."""
+        """Write the heat flow between nodes to arrays.flow, W. Returns the largest rate at which an element loses its excess, 1/s."""
         fastest = np.zeros(PARTS)
         m, volume = t.active_elements, t.elements.volume
         together(_flows, m, t.nodes.x, volume, t.cells, t.metals, self.arrays, fastest)
@@ -118,7 +118,7 @@ class Conduction(ConductionState):
 
 @njit(cache=True, nogil=True)
 def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, value: Floats, a: Flow) -> None:
-    """`means` of values (m,) of the elements at temperatures T (m,) K, in all threads."""
+    """Do `means` for values (m,) of the elements at temperatures T (m,) K, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
         shares(lo, hi, c, metals, T, a.share)
     for lo, hi, _ in ranges(team, 1, n, LEAST):
@@ -201,7 +201,7 @@ def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Meta
 
 @njit(cache=True, nogil=True)
 def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floats, gain: Floats) -> None:
-    """Write the heat that each element gains by the change (n,) K of its nodes, less the decrease own (m,) K, to gain (m,) J."""
+    """Write the heat that each element gains, from change (n,) K of its nodes less the decrease own (m,) K, to gain (m,) J."""
     for e in range(lo, hi):
         rise = change[conn[e, 0]] + change[conn[e, 1]] + change[conn[e, 2]] + change[conn[e, 3]]
         gain[e] = share[e] * (rise - 4.0 * own[e])
@@ -209,8 +209,8 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 @njit(cache=True, nogil=True)
 def take_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
-    """Add heat gain (m,) J to elements: T increases by the enthalpy, sigma_y decreases by softening, and `heat` increases by the part
-    that causes pressure. Returns the sum of this part, J."""
+    """Add heat gain (m,) J to elements: T increases by the enthalpy, sigma_y decreases by softening, and `heat` increases by the
+    part that raises pressure. Returns the sum of this part, J."""
     total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:

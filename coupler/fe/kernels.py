@@ -40,7 +40,7 @@ def nodal_pressure(
 ) -> None:
     """Update the averaged nodal volume ratio J and the pressure p, from the volumes (m,) m3 of the elements at n+1.
 
-    heat (m,) J: heat of each element in the last step. Only heat of the first m elements, the active ones, makes pressure.
+    heat (m,) J: heat of each element in the last step. Only heat of the first m elements, the active ones, raises the pressure.
     """
     J, p, energy = nodes.J, nodes.p, nodes.energy
     for a in range(lo, hi):
@@ -75,12 +75,12 @@ def element_forces(
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
     x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to
-    sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; heat receives the heat of the step that makes
-    pressure. Returns the plastic work, the work of the bulk viscosity and the heat that makes pressure, J.
+    sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; heat receives the heat of the step that raises the
+    pressure. Returns the plastic work, the work of the bulk viscosity and this heat, J.
 
     The laws are records specialised for FLOW (`constitutive.specialised`), or plain records. Only the plastic flow depends on the
-    effects of the law: it is computed here, element by element, without fast arithmetic, so that its numbers are the same to the
-    last bit whichever effects the kernel omits. All else is computed block by block (`fe.blocks`).
+    effects of the law: this function computes it element by element, without fast arithmetic, so that its numbers are the same to
+    the last bit whichever effects the kernel omits. `fe.blocks` computes the rest block by block.
     """
     laws, (b1, b2, dt_of), heat = metals.laws, viscosity, a.heat
     plastic = warmth = viscous = 0.0
@@ -159,10 +159,10 @@ def advance(
     nodes: Nodes, elements: Elements, sums: Floats,
 ) -> None:  # fmt: skip
     """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces in the new
-    positions, in all threads. The forces before are copied to f_old, f_ext is set to zero.
+    positions, in all threads. The previous internal forces are copied to f_old; f_ext is set to zero.
 
-    of_pressure, of_flow: metals with laws specialised for the two kernels. Written part by part to sums (PARTS,4): 1 if an element is
-    inverted, 0 if none is, and the results of `element_forces`.
+    of_pressure, of_flow: metals with laws specialised for `nodal_pressure` and `element_forces`. Writes to sums (PARTS,4), for each
+    part: 1 if an element is inverted, else 0; and the results of `element_forces`.
     """
     n, m = active.nodes, active.elements
     for lo, hi, _ in ranges(team, 0, len(nodes.x), LEAST_NODES):

@@ -23,8 +23,8 @@ class TetMesh:
 
     points (n,3) m; conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) m3: reference volumes;
     node_volume (n,) m3: lumped volumes; facets (k,3): boundary triangles, normals outwards; facet_element (k,): element behind
-    each; sets: facet numbers by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, or of the inner
-    face of the shell (`target.domain.merge`), ascending; axis (2,) m: x and y of the axis of a half-space round the target.
+    each; sets: facet numbers by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, in shells
+    (`target.domain.merge`) that of the inner face, ascending; axis (2,) m: x and y of the axis of a half-space round the target.
     """
 
     points: Annotated[np.ndarray, Shape(-1, 3)]
@@ -41,7 +41,7 @@ class TetMesh:
 
 
 class FiniteElements(Protocol):
-    """Attributes of `fe.explicit.Target` that its parts use. They are described there."""
+    """The attributes of `fe.explicit.Target` that its parts (heat, stability, window ...) use. `Target` describes them."""
 
     mesh: TetMesh
     laws: np.ndarray
@@ -110,8 +110,8 @@ def cells_of(mesh: TetMesh) -> Cells:
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets of a cylinder or box by their normals: top (upwards), bottom (downwards), sides (all others). A shaped top may be as
-    steep as its flanks (`plan.ground`)."""
+    """Facets of a cylinder or box by their normals: top (upwards), bottom (downwards), sides (all others). A slope up to 75 degrees
+    still counts as top (`plan.ground`)."""
     normal = area_vectors(points, corners)
     steep = normal[:, 2] / np.linalg.norm(normal, axis=1)
     top, bottom = steep > UPWARDS, steep < -UPWARDS

@@ -17,8 +17,8 @@ class Relaxation:
     """
 
     def __init__(self, target: Target, radius: float, dt: float):
-        """radius (m): only nodes and elements whose reach (`TetMesh`) is smaller can move. Pending heat of all others becomes pressure
-        in a step of dt s."""
+        """radius (m): only nodes and elements whose reach (`TetMesh`) is smaller can move. The pending heat of all others raises
+        their pressure in one step of dt s."""
         t = self.target = target
         t.activate_all()
         m = int(np.searchsorted(t.mesh.reach_element, radius))

@@ -111,8 +111,8 @@ def _square(lo: int, hi: int, w: Floats, square: Floats) -> None:
 def _resist(
     team: Ints, n: int, m: int, scale: float, inverse: Floats, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response
 ) -> None:  # fmt: skip
-    """Multiply the motion by `scale`, by zero at nodes whose inverse mass (n,) is zero. Then do all kernels above, in their order, for
-    the first n nodes and m elements, in all threads."""
+    """Multiply the motion by `scale`, by zero at nodes whose inverse mass (n,) is zero. Then compute its squares and the response,
+    for the first n nodes and m elements, in all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):
         for a in range(lo, hi):
             factor = scale if inverse[a] > 0.0 else 0.0
@@ -130,7 +130,7 @@ def _resist(
 
 @njit(cache=True, nogil=True)
 def _respond(team: Ints, n: int, inverse: Floats, r: Response) -> None:
-    """Replace the motion of the first n nodes by the accelerations of the forces, with the inverse masses (n,), in all threads."""
+    """Replace the motion of the first n nodes by the accelerations that its forces cause; inverse (n,) 1/kg. In all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):
         for a in range(lo, hi):
             for d in range(3):
@@ -166,8 +166,8 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
 
 @dataclass(eq=False)
 class FrequencyState:
-    """State of the power iteration. w (n,3): its vector; random: state of the generator; warm: whether w has been iterated; known:
-    number of nodes that have taken part."""
+    """State of the power iteration. w (n,3): its vector; random: state of the random generator; warm: whether w has been iterated;
+    known: number of nodes that have been part of an iteration."""
 
     w: Annotated[np.ndarray, Shape(-1, 3)]
     random: dict[str, object]

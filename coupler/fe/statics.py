@@ -6,8 +6,8 @@ from skfem import Basis, BilinearForm, ElementTetP0, ElementTetP1, MeshTet
 
 
 def gradient_products(points: np.ndarray, tets: np.ndarray, weight: np.ndarray) -> list[list[csr_array]]:
-    """The nine matrices (n,n) with the entries: integral of weight dN_a/dx_i dN_b/dx_j dV; i and j are the axes. weight (m,): weight
-    of each tetrahedron."""
+    """Matrices [i][j], each (n,n), for the axes i and j; entries: integral of weight dN_a/dx_i dN_b/dx_j dV. weight (m,): weight of
+    each tetrahedron."""
     mesh = MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tets.T), sort_t=False)
     basis = Basis(mesh, ElementTetP1(), intorder=1)
     w = basis.with_element(ElementTetP0()).interpolate(weight)
