@@ -67,8 +67,8 @@ class CarriedSurface:
     def moving_contacts(
         self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray, out_f: np.ndarray
     ) -> None:
-        """`contacts` for positions x and velocities v (n,3), written to the given rows of out_x and out_v, and zero to those of out_f,
-        in all threads."""
+        """Write `contacts` for positions x and velocities v (n,3) to the given rows of out_x and out_v, and zero to these rows of
+        out_f, in all threads."""
         together(combine_both, rows, self._touching, x, v, out_x, out_v, out_f)
 
     def spread(self, forces: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
@@ -92,7 +92,7 @@ class CarriedSurface:
         return heat[vertices:] + self._from_vertices @ heat[:vertices]
 
     def softness(self, mass: np.ndarray) -> float:
-        """Largest inverse effective mass of a contact node, which is its sum of weight^2 / mass, 1/kg. mass (n,) kg: masses of the
+        """Largest inverse effective mass of a contact node, 1/kg: sum of weight^2 / mass over its points. mass (n,) kg: of the
         points."""
         return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
 
@@ -104,8 +104,8 @@ class CarriedSurface:
 
 
 def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
-    """Shares (k,n) of each point for the vertices within BESIDE of it. A column sums to one, or to zero for a point deep in the
-    body."""
+    """Equal shares (k,n) of each point for the vertices within BESIDE spacings of it. A column sums to one, or to zero for a point
+    deep in the body."""
     near = tree.sparse_distance_matrix(cKDTree(vertices), BESIDE * spacing, output_type="coo_matrix").tocsr()
     near.data[:] = 1.0
     shares = near.multiply(1.0 / np.maximum(near.sum(axis=1), 1.0))

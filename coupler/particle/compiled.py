@@ -1,8 +1,8 @@
 """The particle with two compiled passes over points and pairs (`particle.compiled_kernels`), in the form of MACHDYN.
 
 LAMMPS stores and distributes the points; their motion is integrated here, in all threads. Neighbours are those of the reference
-configuration: lists are made once. With several ranks LAMMPS provides x and vest of neighbours on other ranks; between the passes the
-ranks exchange F, Q and the plastic strain of these points with fixed lists. No sum depends on the division of the points.
+configuration: lists are made once. With several ranks LAMMPS provides positions and velocities of neighbours on other ranks;
+between the passes the ranks exchange their F, Q and plastic strain with fixed lists. No sum depends on the division of the points.
 """
 
 from collections.abc import Callable, Sequence
@@ -126,7 +126,7 @@ class CompiledParticle(Particle):
         self._sends, self._receives = _by_rank([row_of[ids] for ids in asked]), _by_rank(wanted)
 
     def _list_pairs(self, points: np.ndarray, r0: np.ndarray, w: np.ndarray, W: np.ndarray) -> Pairs:
-        """The pairs, with the rows of both sides and their gradients, also for points of other ranks."""
+        """The pairs with points of this rank, with the rows of both sides and gradients; one side may be of another rank."""
         s, n = self._sides, len(self._sides.neighbour)
         sides, seconds = np.zeros((len(points), 2), np.int64), s.pair < 0
         sides[s.pair[~seconds], 0], sides[~s.pair[seconds], 1] = np.flatnonzero(~seconds), np.flatnonzero(seconds)
@@ -173,8 +173,8 @@ class CompiledParticle(Particle):
         together(self._passes.forces_of_all, self.n, of_pairs, (self._sides, force, self.points.f))
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """As `Particle.run`. If the gradient of plastic strain hardens the metal, the plastic strain of the chunk of steps is added
-        to the gradient."""
+        """As `Particle.run`. At the end the gradient of the plastic strain of these steps is added to `eps_gradient`, if gradients
+        harden the metal."""
         p = self.points
         together(motion.begin_all, dt, self.mass, p.f, p.x, p.v, p.vest)
         if not self.law["gradient_length"].any():
@@ -220,7 +220,7 @@ class CompiledParticle(Particle):
         self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
-        """Send rows of arrays (k, ...) to other ranks, and write the rows that arrive from there."""
+        """Send rows of arrays (k, ...) to other ranks, and overwrite rows with those that arrive."""
         if not (sends or receives):
             return
         widths = np.cumsum([0] + [array.shape[1] for array in arrays])

@@ -191,7 +191,7 @@ def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector)
 
 @_inlined
 def viscosity(scheme: Scheme, p: Pairs, k: int, r: float, approach: float) -> tuple[float, float]:
-    """Viscous force (N) of pair k, and mu. approach: dx . dv, m2/s."""
+    """Viscous force (N) of pair k, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
     c, soft = p.c[k], 1.0 / (r + 0.1 * scheme.h)
     mu = scheme.h * min(max(approach * soft, -SLOW * c), SLOW * c) * soft
     return p.slope[k] * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
@@ -211,8 +211,8 @@ def hourglass(scheme: Scheme, p: Pairs, k: int, r: float, x: Vector, e: Vector, 
 
 @_inlined
 def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """The products x . v_half (m2/s) at n and at n+1. In the last step of a chunk the value at n+1 includes the following half
-    step."""
+    """The products x . v_half (m2/s) with x at n and at n+1, for the work of pair forces (`lose`). In the last step of a chunk the
+    second one includes the following half step."""
     now = dot(x, v_half)
     before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
     return before, now + dot(x, v) if is_last else now
@@ -220,7 +220,7 @@ def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) ->
 
 @_inlined
 def lose(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> None:
-    """Add the work of a force in a leapfrog step, dt (f_n + f_n+1) / 2 . v_n+1/2, to the losses of pair k."""
+    """Add the work of a force, dt (f_n + f_n+1) / 2 . v_n+1/2, to the losses of pair k. before, now: `exchanged`."""
     losses.work[k, kind] += 0.5 * dt * (losses.strength[k, kind] * before + strength * now)
     losses.strength[k, kind] = strength
 

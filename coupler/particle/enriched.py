@@ -151,7 +151,7 @@ class EnrichedParticle(CompiledParticle):
         omega2 = self._size(u)
 
         def respond(lo: int, hi: int) -> None:
-            """Minus the accelerations that u causes, over its size, in place of u."""
+            """Replace u by minus the accelerations that it causes, divided by its norm."""
             u[lo:hi] = scale[lo:hi, None] * f[lo:hi]
 
         for _ in range(k.NEXT if before > 0.0 else k.FIRST):
@@ -172,7 +172,7 @@ class EnrichedParticle(CompiledParticle):
         return float(2.0 ** (np.floor(k.GRID * np.log2(ahead)) / k.GRID))
 
     def _size(self, u: np.ndarray) -> float:
-        """Root of the sum of the squares of u (n,3) over the points of all ranks."""
+        """Norm of u (n,3) over the points of all ranks: root of the sum of squares."""
         return float(np.sqrt(sum(self.comm.allgather(float(np.vdot(u, u))))))
 
     def _recoverable(self, stored: float) -> float:

@@ -45,7 +45,7 @@ ACROSS = 10.0 / 9.0  # stiffness of a residual over G: mean over directions of 1
 def _strain_residuals(
     i: int, s: Sides, m: Motion, F: Matrix, R: Matrix, plastic: Floats, residual: Floats
 ) -> tuple[float, float]:
-    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of point i to rows of residual, m.
+    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of point i to its rows of residual, m.
 
     Returns sum w e^2 / sum w r^2, and sum w r^2 (1/m3).
     """
@@ -69,7 +69,7 @@ def _strain_residuals(
 def _residual_forces(
     i: int, s: Sides, X: Floats, R: Matrix, back: float, stiffness: float, plastic: Floats, residual: Floats
 ) -> tuple[Matrix, float, float, float]:
-    """Return the elastic residuals of point i by the factor `back` of the deviator, and compute their forces.
+    """Multiply the elastic residuals of point i by the factor `back` of the radial return, and compute their forces.
 
     plastic: plastic residuals, updated; residual: trial residuals in m, replaced by forces stiffness w R e in N. Returns
     sum f (x) (X_j - X_i), which is minus the derivative of their energy by F, and the moment sum e_p x f of the unrotated forces.

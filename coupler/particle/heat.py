@@ -156,9 +156,9 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
-    """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures T, in all threads. rates (PARTS,) 1/s:
-    upper bound on the fastest rate of decay in each part (Gershgorin, with absolute values of the operators), from the largest flow
-    for temperature differences of 1 K, which is written to q."""
+    """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures T, in all threads. Write the
+    largest flow for temperature differences of 1 K to q, and from it an upper bound on the fastest rate of decay in each part
+    (Gershgorin, with absolute values of the operators) to rates (PARTS,) 1/s."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)
         for i in range(lo, hi):

@@ -48,8 +48,8 @@ def apply_law(
     """Read the result of MACHDYN's step, update the state of every point, and prescribe the next step.
 
     laws: one LAW record; dt (s); H (Pa); volume (n,) m3. Arrays of MACHDYN (n,): mass (kg); eps, e (J) and de (W): plastic strain,
-    energy and its rate, which prescribe the next step; set_e (J/kg): energy prescribed for this step; a.stress: stress of LAMMPS, only
-    read. sums (2,) J grows by the plastic work and by the part of its heat that makes pressure.
+    energy and its rate, which prescribe the next step; set_e (J/kg): energy prescribed for this step; a.stress: stress of LAMMPS,
+    only read. sums (2,) J grows by the plastic work and by the part of its heat that raises pressure.
     """
     law = laws[0]
     for i in range(len(volume)):
@@ -76,9 +76,9 @@ def apply_law(
 def warm_points(
     team: Ints, laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, a: State, pressing: Floats
 ) -> None:
-    """Add heat (n,) J to points: T by enthalpy, sigma_y by softening, energy by the part that makes pressure in the next step.
+    """Add heat (n,) J to points: T by enthalpy, sigma_y by softening, energy by the part that raises the pressure in the next step.
 
-    machdyn_eps (n,): written, prescribes sigma_y for the next step; pressing (PARTS,) J grows by the part that makes pressure.
+    Writes machdyn_eps (n,), which prescribes sigma_y for the next step; adds the part that raises the pressure to pressing (PARTS,) J.
     """
     for lo, hi, part in ranges(team, 0, len(heat), LEAST_POINTS):
         for i in range(lo, hi):

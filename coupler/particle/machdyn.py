@@ -1,4 +1,4 @@
-"""The particle with MACHDYN's own pair style. The yield stress and the energy of each point carry the constitutive law into it
+"""The particle with MACHDYN's own pair style. The constitutive law acts in it through the yield stress and the energy of each point
 (`particle.law`)."""
 
 from dataclasses import dataclass

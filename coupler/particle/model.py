@@ -35,9 +35,9 @@ class Sides(NamedTuple):
 
 class Pairs(NamedTuple):
     """Pairs of points. points (m,2): first and second point; sides (m,2): rows of their sides, sides of other ranks after the own
-    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji. Of the
-    mean of both materials: slope (m,) kg/m: factor W' m^2 / rho of MACHDYN's forces; c (m/s), E (Pa) (m,): longitudinal wave speed and
-    Young's modulus."""
+    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji. For the
+    mean of both materials: slope (m,) kg/m: factor W' m^2 / rho of MACHDYN's forces; c (m/s), E (Pa) (m,): longitudinal wave speed
+    and Young's modulus."""
 
     points: Ints
     sides: Ints

@@ -87,7 +87,7 @@ class PointState(MetalState):
 class LocalState:
     """State of the points of one rank. internal_work (J); time (s); steps: number since the start; dt (s).
 
-    sums (4,) J: plastic work, heat that makes pressure, losses by viscosity, losses by hourglass control; the losses are zero with
+    sums (4,) J: plastic work, heat that raises pressure, losses by viscosity, losses by hourglass control; the losses are zero with
     an engine that does not measure them.
     """
 
@@ -132,8 +132,8 @@ class Particle(LocalState, ABC):
     """State and motion of one SPH particle, or of its n points on this rank. An engine adds stress and internal forces. SI units.
 
     points: state; LAMMPS stores some of its arrays. f_ext (n,3) N: external forces, which the callback writes; X (n,3): reference
-    positions; ids (n,): numbers of these points in the whole particle. They do not change: neighbours are those of the reference
-    configuration.
+    positions; ids (n,): numbers of these points in the whole particle. A rank keeps its points: neighbours are those of the
+    reference configuration.
     """
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
@@ -208,11 +208,11 @@ class Particle(LocalState, ABC):
         self.mass = self._mass.copy()
 
     def _lammps(self, name: str, columns: int = 1) -> np.ndarray:
-        """The array of LAMMPS for the points of this rank, without copies of neighbours."""
+        """The array `name` of LAMMPS for the points of this rank, without copies of neighbours."""
         return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """Make `steps` steps of dt s. Each step calls on_step() with positions at n+1; it writes f_ext.
+        """Make `steps` steps of dt s. Each step calls on_step(), which writes f_ext, with positions at n+1.
 
         Raises the error of on_step, or SolverError when LAMMPS stops or MACHDYN deletes a point. If other ranks share the particle,
         on_step is called in all steps even after a failure, and `failure` is the error.
@@ -265,8 +265,8 @@ class Particle(LocalState, ABC):
             self.internal_work -= float(work.sum())
 
     def _book(self, work: np.ndarray) -> None:
-        """Compute the work of the internal forces in this step, part by part, in work (PARTS,) J, and add the external forces to
-        f. LAMMPS then makes the velocities of n+1, unless the engine does."""
+        """Compute the work of the internal forces in this step, part by part, in work (PARTS,) J, and add the external forces to f.
+        Then LAMMPS, or the engine, computes the velocities at n+1."""
         p = self.points
         together(motion.book_all, self.dt, p.f_old, p.f, p.v, self.f_ext, work)
 
@@ -280,14 +280,14 @@ class Particle(LocalState, ABC):
 
     @abstractmethod
     def stress(self) -> np.ndarray:
-        """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
+        """Cauchy stress (n,6) Pa along the fixed axes, Voigt order xx yy zz yz xz xy."""
 
     def _end_chunk(self) -> None:
         """Add plastic work and losses to the sums after the last step of a `run`; an engine that does so in each step does nothing."""
         return
 
     def _add_inertia(self) -> None:
-        """Change the internal forces f of cells with added inertia, after f_ext is known. It is called after a failure too."""
+        """Change the internal forces f of cells with added inertia, after f_ext is known. Called also in steps after a failure."""
         return
 
     def _skip_step(self) -> None:
@@ -322,17 +322,17 @@ class Particle(LocalState, ABC):
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try a finer preset"
 
     def _recoverable(self, stored: float) -> float:
-        """Part (J) of the stored energy of the stresses (J) that can be recovered: without the part due to heat."""
+        """Recoverable part (J) of the energy `stored` (J) by the stresses: without the part due to heat."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
-        """Add heat (n,) J to points, between runs: temperature and yield stress change at once, pressure in the next step."""
+        """Add heat (n,) J to points, between calls of `run`: temperature and yield stress change at once, pressure in the next step."""
         heat, pressing = np.ascontiguousarray(heat, float), np.zeros(PARTS)
         together(k.warm_points, self.law, H, self.volume, heat, self.points.eff_plastic_strain, self._state, pressing)
         self.sums[1] += float(pressing.sum())
 
     def totals(self) -> PointTotals:
-        """Sums and extremes over these points, between runs. Raises SolverError as `stable_dt`."""
+        """Sums and extremes over the points of this rank, between calls of `run`. Raises SolverError as `stable_dt`."""
         plastic, _, viscosity, hourglass = self.sums.tolist()
         dt, parts, p = self.stable_dt(), np.zeros((PARTS, 6)), self.points
         together(k.add_up, self.law, self.dt, self.volume, self.mass, p.v, p.f, self._state, parts)

@@ -70,7 +70,7 @@ def shape(name: str, diameter: float, points: int, tilt: float = 0.0, pores: mor
 
 
 def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, points: int) -> Body:
-    """A body with pores. form: with them; volume m3: without them; points: as in `shape`. Its centre of mass is the origin."""
+    """A body with pores. form: with pores; volume (m3): of the metal; points: as in `shape`. Its centre of mass is the origin."""
     centres, radius = np.array(pores.centres), 0.5 * pores.diameter
     middle = -pores.volume / volume * centres.mean(axis=0)
 
@@ -112,8 +112,8 @@ def of_surface(points: np.ndarray, triangles: np.ndarray, diameter: float, count
 
 
 def core_of(body: Body, share: float) -> np.ndarray:
-    """Numbers (n,) of the materials of a body's points: 1 in the core, 0 in the shell. The core consists of the points farthest below
-    the outer surface; of those of the same depth, some all round. share: its volume fraction, which is met within half a point."""
+    """Numbers (n,) of the materials of a body's points: 1 in the core, 0 in the shell. The core consists of the points farthest
+    below the outer surface, chosen from all sides. share: its volume fraction, met within half a point."""
     feet = RaySurface(body.vertices, body.triangles).feet(body.points)[0]
     depth = np.round(np.linalg.norm(body.points - feet, axis=1) / body.spacing, 1)
     all_round = _GOLDEN * np.arange(len(depth)) % 1.0

@@ -59,7 +59,7 @@ class Cloud(MetalState):
         return float(self.current_volume.sum())
 
     def part(self, index: np.ndarray) -> "Cloud":
-        """The cloud that contains only the points `index` (p,), with the whole surface."""
+        """The cloud of only the points `index` (p,), but with the whole surface."""
         kept: dict[str, Any] = {name: array[index] for name, array in self._known().items()}
         return replace(self, **kept)
 

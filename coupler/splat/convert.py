@@ -57,7 +57,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
 
 
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
-    """The separate bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError for none."""
+    """The separate bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError if there is none."""
     pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
     count, part = connected_parts(pairs, len(cloud.x))
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)

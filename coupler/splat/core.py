@@ -19,9 +19,9 @@ LEVELS = 12  # of the bisection: the volume changes by whole tetrahedra
 
 
 def parts_of(cloud: Cloud, points: Floats, tets: Ints) -> Iterator[tuple[bool, Ints, Floats, Ints]]:
-    """Shell and core of a mesh of a cloud: whether it is the core, its points (p,) of the cloud, nodes (n,3) m, tetrahedra (m,4).
+    """Yield shell and core of a mesh: whether the part is the core, its points (p,) of the cloud, nodes (n,3) m, tetrahedra (m,4).
 
-    A body without a core, or with fewer than MIN_POINTS points or no tetrahedra of one, is one part: its most frequent material.
+    If shell or core has fewer than MIN_POINTS points, or the core has no tetrahedra, there is one part, of the more frequent material.
     """
     everyone = np.arange(len(cloud.x))
     if cloud.core is None or min(cloud.core.sum(), (~cloud.core).sum()) < MIN_POINTS:

@@ -102,7 +102,7 @@ def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
 
 
 def level_of(field: Field, volume: float) -> float:
-    """The level whose surface encloses a volume (m3), from 0.15 to 0.85: outside this range it depends on tails of the smoothing."""
+    """The level whose surface encloses a volume (m3), limited to 0.15 to 0.85: beyond, it depends on the tails of the smoothing."""
     near = (field.values > 0.01) & (field.values < 0.99)
     values, slope = field.values[near], steepness(field)[near]
     target = volume / field.h**3 - int(np.sum(field.values >= 0.99))

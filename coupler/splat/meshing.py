@@ -73,7 +73,7 @@ class Shape:
 
 @dataclass
 class CloudShape:
-    """The points of one body, points of other bodies (k,3) m, and the last shape with its key, for the next strategy."""
+    """The points of one body, points of other bodies (k,3) m, and the last result of `find` with its arguments (cache)."""
 
     cloud: Cloud
     others: np.ndarray
@@ -82,7 +82,7 @@ class CloudShape:
     def find(self, source: str, size: float, least_sigma: float) -> Shape:
         """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size (m): size of the elements.
 
-        Handles are holes in thin lips, which a mesh of this size cannot resolve. Raises SplatError if surface and points differ.
+        Handles are holes in thin lips, too small for this mesh. Raises SplatError if surface and points differ in volume.
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:

@@ -41,7 +41,7 @@ def projection(field: Field, level: float, size: float) -> Callable[[np.ndarray]
 
 
 def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:
-    """Closed surfaces, moved along normals so that they enclose `target` m3; and this offset, m, at most `max_offset`."""
+    """Closed surfaces, moved along normals so that they enclose `target` m3; and this displacement, m, at most `max_offset`."""
     ends = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     triangles = np.concatenate([own + first for (_, own), first in zip(parts, ends, strict=False)])
     x, moved = triangulated.correct_volume(np.concatenate([part[0] for part in parts]), triangles, target, max_offset)

@@ -2,7 +2,7 @@
 
 Linear moving least squares (Lancaster & Salkauskas 1981), then corrections that conserve sums. Velocities: a rigid motion a + omega
 x r restores linear and angular momentum, and a factor of the non-rigid part restores the kinetic energy. Temperature, plastic
-strain, all other scalars of the metal, and energy: a uniform shift restores their sum over the mass. A fitted value exceeds the
+strain, all other scalars of the metal, and energy: a uniform shift restores their sum, weighted by mass. A fitted value exceeds the
 range of its points by at most EXTRAPOLATION of this range, and no temperature is below that of the coldest point.
 """
 
@@ -68,7 +68,7 @@ def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) 
 def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
     """Values (n,) after a uniform shift, so that weights @ values is `total`, and no value is below `floor`.
 
-    Values at the floor stay there, and the others are shifted further. If `total` is too small for the floor, all values are the floor.
+    Values at the floor stay there, and the others are shifted further. If `total` is too small for this, all values are the floor.
     """
     whole = weights.sum()
     if floor is None:
@@ -89,8 +89,8 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
 def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], dict[str, float]]:
     """Fields of `cloud.Body` on a mesh of points (n,3) m and tets (m,4), from the fields of the cloud; and their relative errors.
 
-    The errors are those of sums over the mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy. Keys
-    that end in `_raw` have the error before the correction. stress_square: of the uncorrected volume integral of sigma : sigma.
+    The errors are those of sums weighted by mass: temperature, plastic strain, energy, linear and angular momentum, kinetic energy.
+    Keys that end in `_raw`: before the correction. stress_square: error of the uncorrected volume integral of sigma : sigma.
     """
     volume = volumes(points, tets)  # m3
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)

@@ -103,8 +103,8 @@ class Bodies:
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
     def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
-        """Find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach in `time` s, and
-        release the heat of friction and fracture. by_speed: slow surfaces move only their share of `travel`."""
+        """Find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach in `time` s, and do
+        `release_heat`. by_speed: slow surfaces move less than this."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.nodes.v if by_speed else None
@@ -141,7 +141,7 @@ class Bodies:
 
     @property
     def energy(self) -> float:
-        """Stored and dissipated energy of contact and bonds between bodies, J."""
+        """Sum of stored and dissipated energy of contact and bonds between bodies, J."""
         c, b = self.contact, self.bond
         energy = c.energy + c.pairs.sums.lost if c is not None else 0.0
         return energy + (b.work if b is not None else 0.0)
@@ -214,7 +214,7 @@ class Bodies:
         self.contact.ignore_depth(depth)
 
     def reduce_overlap(self, share: float) -> None:
-        """Multiply the ignored depths of contacts, and the negative gaps of bonds that `separate` has moved, by `share`."""
+        """Multiply the depths without force in the contact, and the negative gaps of bonds that `separate` has moved, by `share`."""
         for each in (self.contact, self.bond):
             if each is not None:
                 each.reduce_overlap(share)
@@ -280,7 +280,7 @@ class Bodies:
 
     def with_domain(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
         """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 for a removed node;
-        buried: facets of the new domain that nothing can reach. The bond of these bodies is moved to the result and renumbered."""
+        buried: facets of the new domain that nothing can reach. The bonds of these bodies pass to the result, renumbered."""
         new = self.remade(domain)
         if self.bond is not None:
             self.bond.renumber(rank)

@@ -184,7 +184,7 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
 
 
 def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
-    """Overwrite the rows `ids` of a record by the rows of `part` with these numbers. number: number of each row of the part."""
+    """Overwrite the rows `ids` of a record with rows of `part`. number: row in the record of each row of the part, -1 for none."""
     row = np.full(int(number.max()) + 1, -1)
     kept = np.flatnonzero(number >= 0)
     row[number[kept]] = kept

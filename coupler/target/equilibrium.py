@@ -37,7 +37,7 @@ RELEASE_TIME = 5e-9  # s after joining in which the released kinetic energy is m
 
 class Aim(NamedTuple):
     """Required accuracy of an equilibrium. left: largest remaining energy divided by the kinetic energy of the impacts before; ramp:
-    steps in which pending heat becomes pressure, as in slow cooling; quick: steps before the damping is limited to SLOW_DAMPING."""
+    steps in which pending heat raises the pressure, as in slow cooling; quick: steps before the damping is limited to SLOW_DAMPING."""
 
     left: float
     ramp: int
@@ -72,11 +72,11 @@ def settle(
     """Bring all bodies to rest in equilibrium. All elements are active during it; those beyond the wave front are inactive after it.
 
     kinetic_0 (J): kinetic energy of the impacts before, the scale of the remaining energy. release_time (s): duration of the real
-    motion after the equilibrium, in which the released energy is measured. radius (m): nodes whose reach (`TetMesh`) is larger do not
-    move, but pending heat becomes pressure there too; if more than LOCAL of the elements lie within it, all nodes move. known: results
-    of an earlier equilibrium of these bodies, updated for the next one. back: fixed nodes (k,), and displacements (k,3) m by which they
-    are moved. The simulated time does not advance, and no heat is conducted. Returns the number of steps and energies. Raises
-    SolverError if a tetrahedron inverts, or if the bodies then have more kinetic energy than the impacts before.
+    motion after the equilibrium, in which the released energy is measured. radius (m): nodes whose reach (`TetMesh`) is larger do
+    not move, but pending heat raises the pressure there too; if more than LOCAL of the elements lie within it, all nodes move.
+    known: results of an earlier equilibrium of these bodies, updated for the next one. back: fixed nodes (k,), and displacements
+    (k,3) m by which they are moved. The simulated time does not advance, and no heat is conducted. Returns the number of steps and
+    energies. Raises SolverError if a tetrahedron inverts, or if the bodies then have more kinetic energy than the impacts before.
     """
     t = bodies.target
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
@@ -107,7 +107,7 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Make steps of dynamic relaxation until the remaining energy is below aim.left, here in J. known, back: see `settle`."""
+    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which is in J here. known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
     heat = t.elements.heat[:m].copy()

@@ -58,7 +58,7 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
 def _cleared(
     splat: BodyState, points: np.ndarray, placed: np.ndarray, before: np.ndarray, surfaces: Surfaces, new: int, size: float
 ) -> np.ndarray:  # fmt: skip
-    """Points (n,3) m of a splat, the body `new`, moved out of the bodies that it overlaps, with the volume of the splat. placed:
+    """Points (n,3) m of a splat, the body `new`, moved out of the bodies that it overlaps, without change of its volume. placed:
     its nodes on other bodies; before (N,3) m: nodes of the other bodies."""
     for _ in range(ROUNDS):
         out = displacements_out(surfaces, np.concatenate([before, points]), new)[len(before) :]
