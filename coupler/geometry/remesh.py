@@ -66,7 +66,7 @@ def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _around(t: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles around each of n vertices: start (n+1,), table."""
+    """Triangles around each of n vertices, table[start[i]:start[i + 1]] for vertex i: start (n+1,) and table (3m,)."""
     start, places = around(t, n)
     return start, places // 3
 

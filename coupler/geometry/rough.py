@@ -41,7 +41,7 @@ class Ground:
         return z
 
     def extremes(self, diameter: float, step: float) -> tuple[float, float, float]:
-        """Lowest and highest height (m) and steepest slope (a ratio) on a disc about the axis, over distances of `step` m."""
+        """Lowest and highest height (m), and steepest slope (a ratio) between points `step` m apart, on a disc about the axis."""
         axis = np.arange(-0.5 * diameter, 0.5 * diameter + step, step)
         places = np.stack(np.meshgrid(axis, axis), axis=-1)
         z = self.heights(places.reshape(-1, 2)).reshape(places.shape[:2])

@@ -73,8 +73,8 @@ def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
 
 
 def shells(surface: Surface, smallest: float = 0.0) -> list[Surface]:
-    """The closed parts of a surface whose volume, without its sign, is at least `smallest` (unit of the vertices cubed), largest
-    first. A cavity has a negative volume and comes last."""
+    """The closed parts of a surface whose absolute volume is at least `smallest` (unit of the vertices cubed), largest first. A
+    cavity has a negative volume and comes last."""
     vertices, triangles = surface
     count, label = connected_parts(np.concatenate([triangles[:, :2], triangles[:, 1:]]), len(vertices))
     parts = []
@@ -107,10 +107,10 @@ def open_or_double(triangles: np.ndarray) -> str:
 def correct_volume(
     points: NDArray, triangles: NDArray, target: float, max_offset: float, fixed: NDArray | None = None
 ) -> tuple[NDArray, float]:
-    """Points (n,3) of closed surfaces after a displacement along the normals, and this offset. The surfaces then enclose the volume
-    `target`, to VOLUME_TOLERANCE.
+    """Points (n,3) of closed surfaces after a displacement along the normals, and this displacement. The surfaces then enclose the
+    volume `target`, to VOLUME_TOLERANCE.
 
-    max_offset: limit of the offset; fixed (n,) bool: points that do not move, none by default.
+    max_offset: limit of the displacement; fixed (n,) bool: points that do not move, none by default.
     """
     x, moved = points.copy(), 0.0
     free = slice(None) if fixed is None else np.flatnonzero(~fixed)

@@ -44,8 +44,8 @@ class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
     particle: its points on all ranks; bodies: substrate and splats; surface: outer surface of the particle, carried by its points;
-    level: height (m) of the target's surface where the particle first touches it; normal (3,): of the ground there; paths: heat flow
-    between chunks of steps; folding: self-contact of the particle, None if it is not computed.
+    level: height (m) of the target's surface where the particle first touches it; normal (3,): of the ground there; paths: heat
+    flow, computed after each chunk of steps; folding: self-contact of the particle, None if it is not computed.
     """
 
     particle: DistributedParticle
@@ -100,7 +100,7 @@ def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan)
 
 
 def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
-    """A layered substrate with its faces: top of the upper layer, all sides, bottom of the lowest. half_space: of a half-space."""
+    """A layered substrate with its faces: top of upper layer, all sides, bottom of lowest. half_space: names of half-space faces."""
     domain = domain_now(bodies.target, bodies.body)
     mesh, of_facet = domain.mesh, bodies.body[domain.mesh.facet_element]
     sets = name_sides(mesh.points, mesh.facets)
@@ -113,7 +113,7 @@ def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
 
 
 def metals_of(plan: Plan, bodies: Bodies) -> list[Material]:
-    """The material of each body of the target. Its LAW record tells the core of a particle from the shell, and a layer from another."""
+    """The material of each body of the target. LAW records distinguish the core of a particle from its shell, and layers."""
     found = []
     for law, i in zip(np.split(bodies.target.laws, bodies.count), bodies.impact.tolist(), strict=True):
         known = plan.impacts[i - 1].materials if i else plan.target.materials

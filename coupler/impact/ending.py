@@ -6,7 +6,7 @@ from typing import Literal
 
 Grip = Literal["free", "failing", "held", "secure", "embedded"]
 STILL = 0.005  # of the impact speed: a particle on earlier splats with a smaller downward speed is at rest
-QUIET_FORCE = 0.02  # of the peak contact force: below it the contact is silent
+QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as having no force
 QUIET_TIME = 0.1  # of D / v: time of silence at the end
 # A bonded particle oscillates: it is at rest after its speed has been below HELD_STILL of the impact speed for HELD_TIME of D / v,
 # about one period.
@@ -23,8 +23,8 @@ class EndState:
     peak (N): largest contact force so far; turned (s): time of the greatest deformation, None before it; loud (s): last time with a
     contact force above QUIET_FORCE of the peak; fast (s): last time at which the particle was not bonded, or was faster than
     HELD_STILL of its impact speed with an energy that its bonds may not absorb; above (s): last time at which its centre was above
-    the target, not beyond the rim; risen: it has moved upwards after the greatest deformation; arrested: its bonds have stopped it
-    after that; time s, work (J): last observed; power (W): mean dissipation.
+    the target, not beyond the rim; risen: it has moved upwards after the greatest deformation; arrested: its bonds have then
+    stopped it; time (s), work (J): time and dissipated energy at the last observation; power (W): mean rate of work.
     """
 
     at: str
@@ -46,8 +46,8 @@ class EndCriterion(EndState):
     """Decides when an impact has reached its greatest deformation and when it is over.
 
     Greatest deformation: the centre of mass stops sinking; or its downward speed falls below `slow`; or it falls below GLANCING of
-    the impact speed and the contact has been silent for `held_quiet` s (the particle has glanced off the flank of a splat). End at
-    "rest": after that, see `settled`; at "greatest": at once; at "time": at end_time, which is also the limit of the others. A
+    the impact speed and the contact has had no force for `held_quiet` s (the particle has glanced off the flank of a splat). End of
+    the impact: for "rest", when it has `settled`; for "greatest", then; for "time", at end_time, which limits the others too. A
     particle that has slid over the rim of the target has left it: no criterion is met.
     """
 
@@ -97,18 +97,18 @@ class EndCriterion(EndState):
         return self.settled(time) if self.at == "rest" else self.turned is not None
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left, or is at rest, after the greatest deformation: its contact has been silent for `quiet` s,
-        bonds have stopped its rebound, a bonded one has been slow for `held_quiet` s, or a tied one hardly deforms."""
+        """Whether the particle has left, or is at rest, after the greatest deformation: it has had no contact force for `quiet` s,
+        bonds have stopped its rebound, or it has been slow for `held_quiet` s (bonded) or hardly deforms (tied)."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 
     @property
     def is_held(self) -> bool:
-        """Whether the contact was not silent when last observed: it holds an embedded particle."""
+        """Whether the contact had a force when last observed. If so, it holds an embedded particle."""
         return self.loud == self.time
 
     def slid_off(self, time: float) -> bool:
-        """Whether the particle has left over the rim of the target: its contact has been silent for `quiet` s beyond the rim."""
+        """Whether the particle has left over the rim of the target: its contact has had no force for `quiet` s beyond the rim."""
         return self.touched and time - max(self.above, self.loud) > self.quiet
 
     def at_limit(self, time: float) -> bool:

@@ -84,8 +84,8 @@ class Impact(Course):
 
     @cached_property
     def _beside(self) -> csr_matrix:
-        """Matrix with an entry, in the row of each vertex of the particle's surface, for each neighbouring contact node: adjacent
-        vertices and the points under it."""
+        """Matrix with a row for each vertex of the particle's surface: its entries mark the neighbouring contact nodes, which are
+        adjacent vertices and points under the vertex."""
         return hstack([self.surface.neighbours, self.surface.under], format="csr")
 
     @property
@@ -117,7 +117,7 @@ class Impact(Course):
         return self.particle.totals.plastic + self.target.balance.plastic + self.contact.sums.friction_heat + rubbed
 
     def _fastest(self) -> float:
-        """Sum of the largest speed of a point and the largest speed of a surface node, m/s."""
+        """Bound on the speed of approach of two surfaces, m/s: largest speed of a point plus that of a surface node."""
         v = self.target.nodes.v[self.surface_nodes]
         return self.particle.totals.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
 

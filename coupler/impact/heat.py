@@ -66,7 +66,7 @@ class HeatPaths:
         self.particle.warm(self.surface.spread_heat(into))
 
     def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertices (k,) of the particle in contact, the element (k,) under each, and the heat (k,) J that it gets in `time` s.
+        """Vertices (k,) of the particle in contact, the element (k,) under each, and the heat (k,) J that this gets in `time` s.
 
         Each pair is modelled as two lumps, a layer of the particle one spacing thick and the vertex's part of the element. Their
         temperatures approach each other exponentially, which is stable for any time. The thermal resistance is that of the material

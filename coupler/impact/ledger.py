@@ -51,7 +51,7 @@ class Ledger:
         return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
     def update(self, domains: Domains, bonds: ParticleBonds | None = None) -> dict[str, float]:
-        """Compute present energies (J), `drift` (over the initial kinetic energy) and `momentum_error` (over initial momentum).
+        """Compute present energies (J), `drift` (divided by initial kinetic energy) and `momentum_error` (by initial momentum).
 
         bonds: bonds between particle and target, None if there are none.
         """

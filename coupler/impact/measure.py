@@ -51,8 +51,8 @@ def crater_depth(surface: np.ndarray) -> float:
 def plastic_zone(target: Target, heights: Callable[[Floats], Floats]) -> tuple[float, float]:
     """Radius and depth (m) of the part of the substrate that has a plastic strain of at least YIELDED; both are 0 if there is none.
 
-    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: of a centroid of a
-    yielded element below the undeformed ground above it. heights: of this ground (k,) m, at points (k,2) m.
+    Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: largest depth of a yielded
+    element's centroid below the undeformed ground above it. heights: of this ground (k,) m, at points (k,2) m.
     """
     mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]

@@ -1,4 +1,4 @@
-"""Output of an impact while it runs: rows of the history, fields in time, and the ranges of models that it has left."""
+"""Output of an impact while it runs: rows of the history, fields in time, and limits of models that it exceeds."""
 
 from dataclasses import dataclass, field
 from typing import Annotated

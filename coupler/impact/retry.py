@@ -8,14 +8,14 @@ from ..errors import SolverError
 
 @dataclass(frozen=True)
 class Remedy:
-    """Settings of a retry. dt_factor: factor on the stable time step; words: description; numerics: least values of `Numerics`."""
+    """Settings of a retry. dt_factor: factor on the stable time step; words: description; numerics: lower limits of `Numerics`."""
 
     dt_factor: float
     words: str
     numerics: Mapping[str, float]
 
 
-# The first one gives the enriched scheme hourglass control in place of residuals: with these a soft rim can thin out without limit.
+# The first one gives the enriched scheme hourglass control in place of residuals: with residuals a soft rim can become ever thinner.
 # The second one changes every scheme: at 4000 points Q1 = 0.2 reduces the flattening by 1.2 %, and hourglass = 3 by 0.9 %.
 REMEDIES = (
     Remedy(0.5, "half the time step, with hourglass control", {"control": 1.0}),
@@ -28,7 +28,7 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class Retry:
-    """Record of one retry. time_s: time of the failure since the start of the run; numerics: those of the retry."""
+    """Record of one retry. time_s: time of the failure since the start of the run; numerics: values of `Numerics` in the retry."""
 
     impact: int
     time_s: float

@@ -73,7 +73,7 @@ def run_impact(
     save: Callable[[RunningState], None],
     resume_from: RunningState | None = None,
 ) -> tuple[Impact, ImpactRecord]:
-    """Compute impact i of a plan from its start or a state to its end. Returns the impact, whose LAMMPS runs, and its record.
+    """Compute impact i of a plan from its start or a state to its end. Returns the impact, whose LAMMPS still runs, and its record.
 
     bodies: target before the impact; written: amount of data in each file before the impact, None if the files start with it; before
     (s): simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
@@ -120,7 +120,7 @@ def _record(
     impact: Impact, ending: EndCriterion, recorder: Recorder, retries: list[Retry], options: RunOptions, watch: "_WallClock",
     signals: StopSignals, save: Callable[[RunningState], None],
 ) -> ImpactRecord:  # fmt: skip
-    """Compute the impact to its end. Write a checkpoint if the impact can continue from there."""
+    """Compute the impact to its end. Write a checkpoint there if the impact can continue later."""
     saved = clock.perf_counter()
 
     def save_state() -> None:
@@ -151,8 +151,8 @@ def _record(
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats, where it can creep, a slow particle
-    counts as at rest. On a coating, a particle that the scene ties may end before its contact force vanishes."""
+    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats, where it can slide slowly for long, a
+    slow particle counts as at rest. On a coating, a particle that the scene ties may end before its contact force vanishes."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
     slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0

@@ -171,7 +171,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
 
 
 def _molten(impact: Impact, recorder: Recorder) -> list[str]:
-    """Warnings about material above its melting point, because the material law has no latent heat and no melt."""
+    """Warnings about material above its melting point, because the material law has no latent heat and no liquid."""
     particle, target = impact.particle, impact.target
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
     melting = particle.law["T_m"][particle.law_of], target.laws["T_m"][target.law_of]

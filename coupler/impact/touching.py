@@ -11,7 +11,7 @@ from .domains import Domains
 
 
 class Touching:
-    """Vertices in contact. rows (k,): vertices within CONTACT_RANGE spacings of the target; facets (k,): under them."""
+    """Vertices in contact. rows (k,): vertices within CONTACT_RANGE spacings of the target; facets (k,): facet under each."""
 
     def __init__(self, domains: Domains):
         self._domains = domains

@@ -31,7 +31,7 @@ class Extreme:
     compression: float = 0.0
 
     def note(self, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
-        """Include the present values of all points or elements; J at points or nodes."""
+        """Include the present values of all points or elements in the largest ones. J: at points or nodes."""
         self.rate = max(self.rate, _percentile(rate))
         self.melting = max(self.melting, float(np.max(melting, initial=0.0)))
         self.strain = max(self.strain, _percentile(eps_p))
@@ -78,7 +78,7 @@ class Extremes:
 
 
 def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
-    """A text about the values of a body outside the fitted range of its strength law, as a list; empty if there are none."""
+    """A text about the values of a body outside the fitted range of its strength law, as a list; empty if all are inside."""
     fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
     if kept.rate > metal.fitted_rate:

@@ -34,12 +34,12 @@ class Verdict:
     """The verdict "sticks", "rebounds" or "undecided", of a ceramic also "embedded" or "broken", with its reasons. rests_on: values
     that decide it; by: method, one of `measures.VERDICT_BY`.
 
-    rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals,
-    disagree and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if there
-    are no bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds: positive, the energy that they can
-    still absorb, and the velocity of the particle with this energy; or negative, energy and velocity of the particle off the surface.
-    With a criterion of velocity: energy and velocity of the impact less the critical ones. None if nothing was compared. is_close:
-    the margin of computed bonds is within the scatter due to the placement of points and elements.
+    rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals, disagree
+    and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if there are no
+    bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds, positive: the energy that they can absorb less
+    the energy left to break them, and the velocity of the particle with this difference; negative: energy and velocity of the particle
+    away from the surface. With a criterion of velocity: energy and velocity of the impact less the critical ones. None: nothing was
+    compared. is_close: the margin of computed bonds is within the scatter due to the placement of points and elements.
     """
 
     verdict: str

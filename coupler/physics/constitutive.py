@@ -90,8 +90,8 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
 
 
 def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
-    """Mask (k,) of the LAW records (k,) that belong to a material. Numbers that depend on effects are not compared, nor the density:
-    that of a body follows from its mass and its mesh."""
+    """Mask (k,) of the LAW records (k,) that belong to a material. Numbers that depend on effects are not compared, nor is the
+    density, because that of a body follows from its mass and its mesh."""
     on, off = law_record(material), law_record(material, dict.fromkeys(SWITCHES, False))
     others = "rho", "rate_filter", "dissipation", "gradient_length"
     names = [name for name in LAW.names or () if on[name] == off[name] and name not in others]

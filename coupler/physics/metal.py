@@ -24,7 +24,7 @@ class MetalState:
 
     @property
     def plastic_strain(self) -> np.ndarray:
-        """Total equivalent plastic strain (n,), the value in results."""
+        """Total equivalent plastic strain (n,), recovered strain included, as in results."""
         return self.eps_p + self.eps_recovered
 
 

@@ -39,7 +39,7 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 @njit(cache=True, nogil=True)
 def book(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats) -> float:
-    """Returns `work_of` the rows, J. Then f is copied to f_old, `more` is added to f, and `more` is set to zero."""
+    """Return the work (J) of the rows as `work_of`. Then copy f to f_old, add `more` to f, and set `more` to zero."""
     work = work_of(lo, hi, dt, f_old, f, v)
     for a in range(lo, hi):
         for d in range(3):

@@ -277,8 +277,8 @@ class Strength:
         return f"{self.law} ({self.set})" if self.set else self.law
 
     def fields(self, T_m: float, rho: float, softens: bool = True, rate_hardens: bool = True) -> dict[str, float]:
-        """The constants as fields of a LAW record. T_m: melting point, K; rho: density, kg/m3; softens, rate_hardens: whether the
-        effect is on."""
+        """The constants as fields of a LAW record. T_m: melting point, K; rho: density, kg/m3; softens, rate_hardens: whether heat
+        softens and strain rate hardens."""
         values = dict.fromkeys((*FIELDS, *LAWS), 0.0) | self.numbers
         values |= {self.law: 1.0, "T_m": T_m, "softening": float(softens)}
         values["rate_limit"] = 1e30 if rate_hardens else values["eps_dot_0"]
