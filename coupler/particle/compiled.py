@@ -58,7 +58,7 @@ class CompiledParticle(Particle):
         self.points = replace(self.points, F=F[: self.n], R=F[: self.n].copy())
         self._deformation = Deformation(F, self.points.R, np.zeros((everyone, 9)), np.ones(everyone))
         num, h = self.numerics, 2.0 * self.numerics.kernel_radius * self.spacing
-        self._warming = self.law["expansion"] * self.law["taylor_quinney"]  # share of plastic work that makes pressure
+        self._warming = self.law["expansion"] * self.law["taylor_quinney"]  # share of plastic work that raises pressure
         self._scheme = Scheme(self.volume_of_point, h, H, num.Q1, num.Q2, num.hourglass)
         of_pairs = self._list_neighbours()
         self._list_exchange()

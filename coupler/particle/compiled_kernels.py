@@ -120,7 +120,7 @@ def flow(i: int, law: Law, S: Symmetric, square: float, sigma_y: Floats) -> tupl
 
 @_inlined
 def harden_and_press(i: int, dt: float, law: Law, J: float, deps: float, a: State) -> float:
-    """Update the plastic state and the pressure of point i. Returns the mean stress: the Hugoniot pressure of step n+1 and the
+    """Update the plastic state and the pressure of point i. Returns the mean stress, from the Hugoniot pressure of step n+1 and the
     thermal pressure of step n."""
     mean = -hugoniot_pressure(law, J)
     if on(law.Gamma0) and law.Gamma0 > 0.0:

@@ -156,8 +156,8 @@ def _energies(bond: Bond | None) -> np.ndarray:
 def _bonds(
     whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], stored: float, dissipated: float
 ) -> Bond | None:
-    """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with the
-    number (p,) of its nodes in the full domain, and the mask of the nodes that its impact can change; stored, dissipated (J):
+    """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with
+    the index (p,) of each node in the full domain, and the mask of the nodes that its impact can change; stored, dissipated (J):
     energies of bonds in the impacts of the parts."""
     bonds = list[Bond]()
     if (bond := whole.bond) is not None:
