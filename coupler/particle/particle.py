@@ -184,7 +184,7 @@ class Particle(LocalState, ABC):
             self.X, self.volume_of_point, self.spacing, self.law[0], num.kernel_radius * self.spacing, coefficients, self.PAIR,
             self._callback, log, self.comm,
         )  # fmt: skip
-        self.lmp.command("run 0 post no")  # builds the reference neighbours
+        self.lmp.command("run 0 post no")  # of MACHDYN this builds the reference neighbours
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
         self._whole, self.X = self.X, self.X[self.ids]

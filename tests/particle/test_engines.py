@@ -219,6 +219,15 @@ def test_lammps_searches_in_few_enough_bins(
         np.testing.assert_allclose(one[order[0]], other[order[1]], rtol=0, atol=part * np.abs(one).max(), err_msg=name)
 
 
+@pytest.mark.parametrize("engine", BOTH)
+def test_only_machdyn_needs_lammps_to_list_neighbours(engine: type[Particle], tmp_path: Path) -> None:
+    """The box has millions of bins for the neighbours of a few thousand points: time and memory that the other engines save."""
+    cloud, volume = packing.sphere(D, 100)
+    law, log = constitutive.law_record(material("Ni")), tmp_path / "log.lammps"
+    engine(cloud, volume, law, (0.0, 0.0, 0.0), 300.0, Numerics(), log=log).close()
+    assert ("Neighbor list info" in log.read_text()) == (engine is MachdynParticle)
+
+
 def test_what_lammps_refuses_is_an_error_of_the_solver(
     pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
