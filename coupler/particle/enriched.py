@@ -88,10 +88,6 @@ class EnrichedParticle(CompiledParticle):
 
     def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
         gradient = super()._gradients(first, d, w)
-        D = d / self.spacing
-        weight = np.maximum(FIT_REACH - np.sqrt((D * D).sum(axis=1)), 0.0) ** 2
-        x, y, z = D.T
-        basis = np.stack([x, y, z, x * x, y * y, z * z, y * z, x * z, x * y], axis=1)
         ridge = np.diag([0.0] * 3 + [RIDGE] * 6)
         rim, first = np.flatnonzero(self._rim[: self.n]), first.astype(np.int64)
         for points in np.array_split(rim, len(rim) // FITTED + 1):
@@ -101,10 +97,13 @@ class EnrichedParticle(CompiledParticle):
             start = np.cumsum(counts) - counts
             of = np.repeat(np.arange(len(points)), counts)
             side = np.arange(counts.sum()) + np.repeat(first[points] - start, counts)
-            weighted = basis[side] * weight[side, None]
-            A = np.add.reduceat(weighted[:, :, None] * basis[side, None, :], start) + ridge
+            D = d[side] / self.spacing
+            x, y, z = D.T
+            basis = np.stack([x, y, z, x * x, y * y, z * z, y * z, x * z, x * y], axis=1)
+            weighted = basis * np.maximum(FIT_REACH - np.sqrt((D * D).sum(axis=1)), 0.0)[:, None] ** 2
+            A = np.add.reduceat(weighted[:, :, None] * basis[:, None, :], start) + ridge
             fit = np.einsum("sij,sj->si", np.linalg.pinv(A)[of, :3], weighted)
-            exact = np.linalg.pinv(np.add.reduceat(fit[:, :, None] * D[side, None, :], start))  # for linear fields
+            exact = np.linalg.pinv(np.add.reduceat(fit[:, :, None] * D[:, None, :], start))  # for linear fields
             gradient[side] = np.einsum("sij,sj->si", exact[of], fit) / self.spacing
         return gradient
 
