@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from scenes import scene
 
 from coupler import progress as progress_module
 from coupler.commands import main as cli
@@ -84,6 +85,20 @@ def test_the_command_line_itself_imports_nothing_heavy():
     code = f"import sys, coupler.commands.main; coupler.commands.main._parser().format_help(); print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_a_single_impact_imports_only_what_it_computes_with(tmp_path):
+    (tmp_path / "scene.toml").write_text(scene(("Ni", 25, 500), spacing=3.4, element_size=6.0, end=10.0))
+    unused = (
+        "{'gmsh', 'open3d', 'pyvista', 'vtkmodules', 'pandas', 'sklearn', 'nicegui', 'matplotlib.pyplot', 'scipy.ndimage',"
+        " 'scipy.integrate', 'scipy.optimize', 'scipy.stats', 'coupler.app', 'coupler.properties', 'coupler.studies'}"
+    )
+    code = (
+        "import sys; from coupler.commands.main import main; code = main(['run', 'scene.toml', '--no-error', '-q']);"
+        f" assert code in (0, 4), code; print('matplotlib' in sys.modules, {unused} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.stdout.splitlines()[-1], done.stderr) == ("True set()", "")
 
 
 def test_help_and_version():
