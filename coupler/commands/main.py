@@ -1,10 +1,8 @@
 """The command `coldspray`. Large packages are imported only inside the functions that use them, so that --help is fast."""
 
 import argparse
-import atexit
 import codecs
 import errno
-import gc
 import io
 import os
 import re
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from .. import __version__
+from ..core.cycles import search_cycles_less
 from ..core.signals import interrupted_by
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
@@ -36,9 +35,6 @@ _EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields", "nicegui"
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
 _PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals without these characters
-# New objects before a search for cycles of references. Modules and kernels are 200 000 objects that stay: with Python's 700 the
-# searches take 0.3 s of a short run.
-_SEARCH_CYCLES_AFTER = 10_000
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more memory"
 _FURTHER = "continue until there is a verdict: coldspray resume {} --until TIME"
@@ -117,8 +113,7 @@ def _prepare() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="plain")
     os.environ.pop("MPLBACKEND", None)
-    gc.set_threshold(_SEARCH_CYCLES_AFTER)
-    atexit.register(gc.freeze)  # the end of the process releases the memory: the last searches would take 0.5 s
+    search_cycles_less()
 
 
 def _flush() -> bool:

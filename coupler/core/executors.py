@@ -19,6 +19,7 @@ from typing import Any
 
 from ..errors import ColdsprayError
 from ..units import nearest
+from .cycles import search_cycles_less
 
 KINDS = ("processes", "mpi", "slurm")
 # option of a Slurm job -> default value; sbatch receives all other options
@@ -50,7 +51,7 @@ def executor(
             return ThreadPoolExecutor(count)
         for name, value in MEMORY.items():  # a process reads it when it starts
             os.environ.setdefault(name, value)
-        return _Processes(count, get_context("spawn"), end_with, (os.getpid(),))
+        return _Processes(count, get_context("spawn"), begin_worker, (os.getpid(),))
     if kind == "mpi":
         return _mpi()
     if kind == "slurm":
@@ -78,8 +79,9 @@ def without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def end_with(parent: int) -> None:
-    """Make this process end when its parent process ends or crashes. parent: process id."""
+def begin_worker(parent: int) -> None:
+    """Prepare this process to compute for its parent process, and to end when that ends or crashes. parent: process id."""
+    search_cycles_less()
 
     def watch() -> None:
         while os.getppid() == parent:

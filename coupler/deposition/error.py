@@ -12,7 +12,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
 
-from ..core.executors import end_with, without_interrupts
+from ..core.executors import begin_worker, without_interrupts
 from ..errors import ColdsprayError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
@@ -97,7 +97,7 @@ class Companions:
 
 def _in_own_process(companions: Companions, parent: int) -> None:
     """Compute the coarser runs, in a process that ends with its parent."""
-    end_with(parent)
+    begin_worker(parent)
     with contextlib.suppress(KeyboardInterrupt):
         companions.all(threads=1)
 
