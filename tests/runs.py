@@ -71,6 +71,14 @@ def alone(path: Path) -> Iterator[None]:
         yield
 
 
+def in_this_process(scene: Path, threads: int = 1) -> dict[str, object]:
+    """In place of `studies.runs.compute`: to start a process for each run costs more than these runs."""
+    run(scene, scene.with_suffix(""), quiet=True)
+    ended: dict[str, object] = {"status": "done", "reason": "", "exit_code": 0}
+    scene.with_suffix(".json").write_text(json.dumps(ended))
+    return ended
+
+
 class Stopped(Exception):
     """Raised by a probe to break a run off."""
 

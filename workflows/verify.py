@@ -71,7 +71,7 @@ def enclosed_volume(points: Array, triangles: NDArray[np.int64]) -> float:
     return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0
 
 
-def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.99, levels: int = 3000) -> float:
+def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.99, levels: int = 1000) -> float:
     """Distance (m) of two horizontal planes with this share of a closed body between them, half of the rest beyond each, over what it
     is of a sphere of diameter 1: 0.9172 for 0.99. The volume is the sum of the areas of horizontal sections."""
     corners = points[triangles]

@@ -88,7 +88,7 @@ def test_two_half_spaces_meet_at_the_temperature_of_their_effusivities() -> None
     on = {"temperature_dependent_cp": False}
     laws = np.concatenate([law_record(copper, on), law_record(steel, on)])
     laws["k_slope"] = 0.0
-    m = column(0.02, low=-1.0)
+    m = column(0.025, low=-1.0)
     law_of = (m.points[m.conn][:, :, 2].mean(axis=1) > 0).astype(np.int32)
     block = Block(m, laws, np.where(law_of == 0, 600.0, 300.0), law_of)
     alpha = laws["k_0"] / (laws["rho"] * laws["cp_0"])

@@ -68,7 +68,7 @@ SHAPES: dict[str, Callable[[], Surface]] = {
     "splinter": lambda: (rock(3, 10)[0] * [2.2, 1.0, 0.9], rock(3, 10)[1]),
     "dumbbell": dumbbell,
     "dented": dented,
-    "fine": lambda: lumpy(5, 0.15, 0.025),
+    "fine": lambda: lumpy(5, 0.15, 0.06),
 }
 
 

@@ -294,8 +294,7 @@ def test_files_are_readable_after_kill_9(tmp_path, complete):
     Store.create(tmp_path / "run", "").close()
 
 
-@pytest.mark.parametrize("room", range(396_000, 404_000, 2000))
-def test_full_disk_names_the_file_and_keeps_earlier_steps(tmp_path, room):
+def test_full_disk_names_the_file_and_keeps_earlier_steps(tmp_path):
     # A limit on the size of files is the closest to a full disk that any user can make.
     script = """
         import os, resource, sys
@@ -305,7 +304,6 @@ def test_full_disk_names_the_file_and_keeps_earlier_steps(tmp_path, room):
         from coupler.files.store import Store
 
         vtkhdf._longest_file = lambda: float("inf")  # a full disk shows only when it is full
-        resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
         memory = os.memfd_create
 
         def unlimited(name):  # the limit counts for memory as well, which a full disk does not
@@ -314,27 +312,31 @@ def test_full_disk_names_the_file_and_keeps_earlier_steps(tmp_path, room):
 
         os.memfd_create = unlimited
         n = 2000
-        with Store.create(sys.argv[1], "") as store:
-            try:
-                for step in range(1000):
-                    noise = np.random.default_rng(step).random((n, 3))
-                    store.write("particle", step, noise, np.arange(n)[:, None], {"T": noise[:, 0]})
-            except StoreError as error:
-                print(step, error)
+        for room in sys.argv[2:]:
+            with Store.create(f"{sys.argv[1]}/{room}", "") as store:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (int(room), resource.RLIM_INFINITY))
+                try:
+                    for step in range(1000):
+                        noise = np.random.default_rng(step).random((n, 3))
+                        store.write("particle", step, noise, np.arange(n)[:, None], {"T": noise[:, 0]})
+                except StoreError as error:
+                    print(step, error)
     """
+    rooms = [str(room) for room in range(396_000, 404_000, 2000)]
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "run"), str(room)],
+        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path), *rooms],
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
     assert not done.stderr
-    step, message = done.stdout.split(maxsplit=1)
-    assert f"cannot write {tmp_path}/run/particle.vtkhdf: File too large" in message
-    steps = read_with_vtk(tmp_path / "run" / "particle.vtkhdf")
-    assert len(steps) == int(step) >= 3
-    for number, found in enumerate(steps):
-        np.testing.assert_array_equal(found["points"], np.random.default_rng(number).random((2000, 3)))
+    for room, line in zip(rooms, done.stdout.splitlines(), strict=True):
+        step, message = line.split(maxsplit=1)
+        assert f"cannot write {tmp_path}/{room}/particle.vtkhdf: File too large" in message
+        steps = read_with_vtk(tmp_path / room / "particle.vtkhdf")
+        assert len(steps) == int(step) >= 3
+        for number, found in enumerate(steps):
+            np.testing.assert_array_equal(found["points"], np.random.default_rng(number).random((2000, 3)))
 
 
 def test_no_space_is_noticed_before_the_step(tmp_path, monkeypatch):

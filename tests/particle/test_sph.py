@@ -44,17 +44,17 @@ def test_rotation_keeps_momentum_energy_and_shape(engine: str) -> None:
     p.points.vest[:] = p.points.v
     L0 = np.cross(p.points.x, p.mass[:, None] * p.points.v).sum(0)
     e0 = p.totals().kinetic
-    steps = 3000
+    steps = 1000
     p.run(steps, 2e-11, lambda: None)
     L1 = np.cross(p.points.x, p.mass[:, None] * p.points.v).sum(0)
     assert np.abs(L1 - L0).max() < 1e-6 * np.abs(L0).max()
-    assert p.totals().kinetic + p.totals().elastic == pytest.approx(e0, rel=2e-3)
+    assert p.totals().kinetic + p.totals().elastic == pytest.approx(e0, rel=1e-3)
     r0, r1 = np.linalg.norm(p.X, axis=1), np.linalg.norm(p.points.x - p.points.x.mean(0), axis=1)
     assert np.abs(r1 - r0).max() < 1e-3 * D
     # an interior point has gone round by the angle
     i = np.argmax(r0 * (np.abs(p.X[:, 2]) < 0.1 * D))
     angle = np.arctan2(p.points.x[i, 1], p.points.x[i, 0]) - np.arctan2(p.X[i, 1], p.X[i, 0])
-    assert angle % (2 * np.pi) == pytest.approx(2e6 * steps * 2e-11, abs=2e-3)
+    assert angle % (2 * np.pi) == pytest.approx(2e6 * steps * 2e-11, abs=7e-4)
     p.close()
 
 

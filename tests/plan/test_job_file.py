@@ -248,7 +248,7 @@ def test_the_gun_at_an_angle_and_the_ground_are_those_of_the_scenes(tmp_path: Pa
         ("shapes = { angular", "shapes = { angled", "powder[2].shapes"),
         ("shapes = { angular = 1.0 }", 'files = "*.stl"', 'powder[2].files = "*.stl": no file in'),
         ("shapes = { angular = 1.0 }", 'core = { material = "Ni", diameter = "9 um" }', "powder[2] needs the share of its core"),
-        ("shapes = { angular = 1.0 }", 'porosity = 0.1\npore_diameter = "2 um"', "powder.pore_diameter"),
+        ("shapes = { angular = 1.0 }", 'porosity = 0.1\npore_diameter = "4 um"', "powder.pore_diameter"),
         ("shapes = { angular = 1.0 }", 'hardness = "9 HV"', "powder.hardness"),
         ('spot = "6 mm"', 'passes = 2\nfirst = "30 mm"', "spray.first: no pass reaches the patch: the nearest line is 30 mm away"),
         ('spot = "6 mm"', 'passes = 2\ndistribution = "no.csv"', 'spray.distribution = "no.csv": the file is missing'),

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import errors as battery  # workflows/errors.py
 import pytest
+from runs import in_this_process
 from scenes import SMALL, scene_with, several
 from study_table import read_rows, table_rows
 
@@ -21,6 +22,7 @@ from coupler.plan import refinement
 from coupler.plan.cost import forecast
 from coupler.plan.planning import plan
 from coupler.studies import accuracy, pace, timing
+from coupler.studies import runs as study_runs
 
 
 def test_a_folder_keeps_to_its_scene(tmp_path):
@@ -171,7 +173,10 @@ def test_points_that_are_too_few_are_refused(tmp_path: Path) -> None:
         accuracy.compute(scene_with(), tmp_path, (20, 1000), 1, print)
 
 
-def test_the_command_computes_a_scene_at_several_numbers_of_points(tmp_path: Path) -> None:
+def test_the_command_computes_a_scene_at_several_numbers_of_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study_runs, "compute", in_this_process)
     (tmp_path / "small.toml").write_text(SMALL)
     command = ["accuracy", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--points", "200", "300"]
     for _ in range(2):  # then from the finished runs

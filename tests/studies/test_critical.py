@@ -1,6 +1,5 @@
 """The critical velocity by runs: the search itself, and the command on a scene of 200 points."""
 
-import json
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 from statistics import NormalDist
 
 import pytest
+from runs import in_this_process
 from scenes import TINY, scene
 from study_table import read_rows
 
@@ -114,14 +114,6 @@ def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:
     assert Scene.from_text(text).preset == "fine"
     assert Scene.from_text('preset = "draft"\n' + text).preset == "draft"
     assert Scene.from_text(scene(("Ni", 25, 500), more=HELD.format(20))).preset == "standard"
-
-
-def in_this_process(scene: Path, threads: int = 1) -> dict[str, object]:
-    """In place of `runs.compute`: to start a process for each run costs more than these runs."""
-    run(scene, scene.with_suffix(""), quiet=True)
-    ended: dict[str, object] = {"status": "done", "reason": "", "exit_code": 0}
-    scene.with_suffix(".json").write_text(json.dumps(ended))
-    return ended
 
 
 def test_the_command_brackets_keeps_its_runs_and_draws(

@@ -85,7 +85,7 @@ def test_going_back_is_exact(shared_run: SharedRuns, tmp_path: Path, monkeypatch
 
 
 def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> None:
-    log, trouble = Lines(), Trouble(35e-9)
+    log, trouble = Lines(), Trouble(12e-9)
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=trouble, progress=log)
     (made,) = result.retries
     assert made["reason"] == "made to fail"
@@ -151,7 +151,7 @@ def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path)
 
 def test_a_ledger_that_opens_on_the_way_is_reported(tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
-        if impact.time > 20e-9 and impact.dt_factor == 1.0:
+        if impact.time > 10e-9 and impact.dt_factor == 1.0:
             impact.target.balance.plastic += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
 
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe)
