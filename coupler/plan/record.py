@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from functools import cache
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
@@ -38,11 +39,17 @@ def read_plan(folder: Path) -> Plan:
         problem = "is damaged: its checksum does not fit"
     else:
         try:
-            return TypeAdapter(Plan).validate_python(plan)
+            return _plans().validate_python(plan)
         except ValidationError as error:
             first = error.errors()[0]
             problem = f"is damaged: {'.'.join(map(str, first['loc']))}: {first['msg']}"
     raise StoreError(f"{path} {problem}: this version cannot continue the run; compute the scene again")
+
+
+@cache
+def _plans() -> TypeAdapter[Plan]:
+    """The reader of plans, made once: the table of a sweep reads as many plans as it has points."""
+    return TypeAdapter(Plan)
 
 
 def _checksum(data: object) -> str:
