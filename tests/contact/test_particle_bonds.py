@@ -186,9 +186,9 @@ def test_a_mass_on_bonds_leaves_above_one_velocity() -> None:
     mass = 1e-13
     v_margin = np.sqrt(2.0 * ENERGY * SIDE**2 / mass)
     left = []
-    for ratio in 1.0 + 0.01 * np.arange(-4, 5):
+    for ratio in 1.0 + 0.01 * np.arange(-3, 4):
         sheet = Sheet(2)
-        z, v, dt = 0.0, ratio * v_margin, 2e-11
+        z, v, dt = 0.0, ratio * v_margin, 5e-11
         f = 0.0
         while v > 0.0 and not sheet.bonds.bond.broken.all():
             v += f / mass * dt
@@ -196,8 +196,8 @@ def test_a_mass_on_bonds_leaves_above_one_velocity() -> None:
             f = float(sheet.move(sheet.xp + np.array([0.0, 0.0, z]))[2])
         left.append(v > 0.0 and sheet.bonds.bond.broken.all())
     assert np.count_nonzero(np.diff(left)) == 1
-    assert not left[2]
-    assert left[6]
+    assert not left[1]
+    assert left[5]
 
 
 def test_holds_that_form_one_after_another_act_as_one() -> None:

@@ -366,9 +366,14 @@ def test_a_sequence_on_shaped_ground_goes_on_to_the_same_end(
     monkeypatch.chdir(tmp_path / "scene")
     np.savetxt("map.csv", 1e6 * waves, delimiter=",")
     meshio.Mesh(1e6 * waves, [("triangle", Delaunay(waves[:, :2]).simplices)]).write("map.stl")
-    text = SHORT_DOUBLE.replace("[substrate]", f"[substrate]\n{ground}").replace(
-        'diameter = "100 um"', 'diameter = "90 um"'
-    )
+    text = SHORT_DOUBLE.replace("[substrate]", f"[substrate]\n{ground}")
+    for old, new in (
+        ('diameter = "100 um"', 'diameter = "90 um"'),
+        ('"15 ns"', '"10 ns"'),
+        ('every = "2 ns"', 'every = "5 ns"'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
     whole = run(Scene.from_text(text, "shared"), tmp_path / "whole", quiet=True)
     break_off(Scene.from_text(text, "shared"), tmp_path / "out", 5e-9, after=1)
     monkeypatch.chdir(tmp_path)

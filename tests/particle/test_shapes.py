@@ -185,7 +185,7 @@ def _centroid(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", list(ASPECT))
 @pytest.mark.parametrize("tilt", [0.0, 0.4, np.pi / 2, -0.7])
 def test_extents_when_tilted(name: str, tilt: float) -> None:
-    form, b = morphology.form(name, D), shapes.shape(name, D, 2000, tilt)
+    form, b = morphology.form(name, D), shapes.shape(name, D, 1000, tilt)
     extent = np.ptp(b.vertices, axis=0)
     assert form.height(tilt) == pytest.approx(extent[2], rel=0.01)
     assert form.width(tilt) == pytest.approx(max(extent[:2]), rel=0.01)
