@@ -110,17 +110,20 @@ check: $(TEST_STAMP)
 
 WORKERS ?= 2
 
-# Kernels compile one after another, under a lock: mypy has the other core. One thread each: the workers share the cores
+# One thread each: the workers share the cores. What Python and pytest make of the tests is kept: some 5 s of each worker
+PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal
+
+# Kernels compile one after another, under a lock: mypy has the other core
 test: $(TEST_STAMP)
 	@$(MAKE) --no-print-directory -j 2 kernels check
-	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-all: $(TEST_STAMP)
 	@$(MAKE) --no-print-directory -j 2 kernels check
-	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal
+	$(PYTEST)
 
 coverage: test-setup
-	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -q -n $(WORKERS) --dist worksteal -m "not slow" \
+	$(PYTEST) -m "not slow" \
 	  --cov=coupler --cov-report=term:skip-covered
 
 bench: setup
