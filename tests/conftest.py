@@ -1,7 +1,6 @@
 """Bodies and materials that several tests use."""
 
 import gc
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,9 +52,9 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     from coupler.studies import pace
 
     folder = tmp_path_factory.mktemp("cache")
-    (folder / "pace.json").write_text(json.dumps({pace.machine(): {"factor": 1.0, "date": "2026-01-01"}}))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLDSPRAY_CACHE", str(folder))
+        pace.kept().write_text("1.0 2026-01-01")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         patch.setattr("coupler.report.section_picture", lambda result, file=None: None)
         patch.setattr("os.fsync", lambda descriptor: None)

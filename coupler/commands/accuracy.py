@@ -57,10 +57,8 @@ def here(recalibrate: bool = False) -> "Pace":
     from ..studies import pace
 
     def measure() -> float:
-        from ..studies.timing import measure
-
         with options.working("measuring the speed of this machine with a small impact (only once)"):
-            return measure()
+            return pace.measure()
 
     return pace.of_this_machine(measure, recalibrate)
 

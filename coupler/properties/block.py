@@ -1,7 +1,5 @@
 """A rectangular block of a coating: its tetrahedra, and the places where the bodies in it are bonded or touch each other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -32,7 +30,7 @@ class Joints:
     bonded: NDArray
     law: NDArray
 
-    def only(self, which: NDArray) -> Joints:
+    def only(self, which: NDArray) -> "Joints":
         """The joints that a mask (n,) selects."""
         return Joints(*(values[which] for values in vars(self).values()))
 

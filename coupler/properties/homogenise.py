@@ -8,8 +8,6 @@ components of the displacement E x are prescribed, and there is no traction in t
 faces while the other faces are insulated.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effective properties of a coating from its run: choice of the block, its stiffness and conductivities, and their errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ that only touch carry only pressure. The motion is a dynamic relaxation with its
 difference from a uniform stretch and contraction. The motion is nearly static, and its time has no physical meaning.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ no force and no moment is left. At the end the temperature of the whole strip ch
 elastic and equal in both directions of the plane: the modulus is E / (1 - nu).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Comparison of several runs: a table for a terminal, a picture, an HTML page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path

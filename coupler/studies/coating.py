@@ -1,8 +1,6 @@
 """Measures of a coating: thickness, roughness and porosity from vertical columns on a grid (`Columns`); state of each layer;
 stress."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

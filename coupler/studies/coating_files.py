@@ -1,7 +1,5 @@
 """Output files of a coating: measures, profile along the depth, pictures of a cross-section, and the splats as meshes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The statistical error of a coating, from coatings whose particles are drawn from the same distributions with other seeds."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """Maps of a sweep: measures over diameter, velocity and temperature, interpolated by a Gaussian process with its uncertainty (Rasmussen
 & Williams 2006, Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4). Velocity and diameter enter as logarithms."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Mapping, Sequence

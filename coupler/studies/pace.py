@@ -1,29 +1,41 @@
 """The speed of this machine as a factor on the costs of `coupler.plan.cost`, whose constants are those of another machine. It is
-measured once (`timing.measure`) and stored in the cache folder of the user."""
+measured once with a small impact, and stored in the cache folder of the user."""
 
-import json
+import math
 import platform
+import re
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from textwrap import fill
 from typing import Any
+
+import numpy as np
 
 from .. import __version__
 from ..caches import user_folder
 from ..errors import ColdsprayError, StoreError
-from ..files.inputs import read_json_object
 from ..files.outputs import write_text
 from ..files.provenance import processor
 from ..measures import CONVERGING, MEASURES
 from ..plan import refinement
-from ..plan.cost import forecast
+from ..plan.cost import forecast, step_time
 from ..plan.model import Plan
+from ..plan.reading import Scene
 from ..plan.text import duration
 
-FACTORS = (0.05, 50.0)  # limits of a factor
+LEAST, MOST = 0.05, 50.0  # limits of a factor
+REPEATS = 2  # of the impact; the faster one counts, because other work on the machine only adds time
+SMALL = """
+preset = "draft"
+particle = { material = "Ni", diameter = "10 um", velocity = "500 m/s" }
+substrate = { material = "SS304", diameter = "80 um", height = "40 um" }
+end = { time = "8 ns" }
+"""  # about 100 steps
 
 
 @dataclass(frozen=True)
@@ -55,33 +67,45 @@ def lines(plan: Plan, pace: Pace, verbose: bool = True) -> str:
 
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
-    """The speed of this machine. measure: `timing.measure`, which is called if the cache has no entry, or with `anew`. It takes some
-    seconds, or half a minute if kernels must be compiled. If it fails the factor is 1, and `source` has the reason."""
-    path, key = user_folder() / "pace.json", machine()
-    known = _read(path)
-    if anew or key not in known:
+    """The speed of this machine. measure: the function of this module, which is called if the cache has no factor, or with `anew`. It
+    takes some seconds, or half a minute if kernels must be compiled. If it fails the factor is 1, and `source` has the reason."""
+    path, factor = kept(), math.nan
+    with suppress(OSError, ValueError):  # a missing or damaged file
+        text, day = path.read_text(encoding="utf-8").split()
+        factor = float(text)
+    if anew or not LEAST <= factor <= MOST:
         try:
-            factor = measure()
+            factor, day = measure(), date.today().isoformat()
         except (ColdsprayError, ImportError, OSError) as error:
-            return Pace(
-                1.0, f"of another machine, because timing this one failed ({' '.join(str(error).split())[:60]})"
-            )
-        known[key] = {"factor": factor, "date": date.today().isoformat()}
+            reason = " ".join(str(error).split())[:60]
+            return Pace(1.0, f"of another machine, because timing this one failed ({reason})")
         with suppress(OSError, StoreError):  # the folder may be read-only
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, json.dumps(known, indent=1))
-    return Pace(known[key]["factor"], f"timed on {known[key]['date']} (measure again with --recalibrate)")
+            write_text(path, f"{factor:.6g} {day}\n")
+    return Pace(factor, f"timed on {day} (measure again with --recalibrate)")
 
 
-def machine() -> str:
-    """The key of this machine in the cache: name, processor, version of the program."""
-    return " | ".join((platform.node(), processor(), __version__))
+def kept() -> Path:
+    """The file with the factor of this machine: name and processor of the machine and the version of the program are in its name."""
+    machine = f"{platform.node()} {processor()} {__version__}"
+    return user_folder() / f"pace_{re.sub(r'[^A-Za-z0-9.]+', '_', machine)}.txt"
 
 
-def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """The entries of the cache: {"factor", "date"} for each machine; empty if the file is missing or damaged."""
-    with suppress(StoreError, LookupError, TypeError, ValueError):
-        known: dict[str, Any] = read_json_object(path)
-        timed = ((name, float(entry["factor"]), str(entry["date"])) for name, entry in known.items())
-        return {name: {"factor": f, "date": day} for name, f, day in timed if FACTORS[0] <= f <= FACTORS[1]}
-    return {}
+def measure() -> float:
+    """Measure the factor of this machine: the processor time of a step of a small impact in one thread (median over chunks of steps),
+    divided by that from the constants of `plan.cost`. It is limited to LEAST and MOST. Raises SolverError."""
+    from ..deposition.run import run  # loaded here: it needs the solver, an estimate does not
+
+    scene, factors = Scene.from_text(SMALL, "pace"), []
+    for _ in range(REPEATS):
+        marks: list[tuple[float, int]] = []  # processor time, steps so far
+
+        def probe(impact: Any, marks: list[tuple[float, int]] = marks) -> None:
+            marks.append((time.process_time(), impact.particle.steps))
+
+        with TemporaryDirectory() as folder:
+            result = run(scene, folder + "/pace", threads=1, probe=probe, quiet=True, checkpoint_every=math.inf)
+            expected = step_time(1.0, int(result.points), int(result.elements), scene.resolution.engine)
+        seconds, steps = np.diff(marks, axis=0).T
+        factors.append(float(np.median(seconds / steps)) / expected)
+    return min(max(min(factors), LEAST), MOST)

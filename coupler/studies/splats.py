@@ -1,7 +1,5 @@
 """The bodies of a coating, and vertical columns through them, which give heights, roughness and voids."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
