@@ -30,8 +30,6 @@ UNITS = {
 COMPONENTS = {3: ["x", "y", "z"], 6: ["xx", "yy", "zz", "xy", "yz", "xz"]}
 SPARE = 2**20  # bytes that a step may need for headers and indices
 CHUNK = 2**16  # most rows of a chunk
-#: Tables of steps whose values seldom change. The first value is the fill value: until another one is written, rows are not written.
-USUAL = tuple(f"Steps/{name}" for name in ("PartOffsets", "NumberOfParts", "CellOffsets", "ConnectivityIdOffsets"))
 
 
 @dataclass
@@ -68,7 +66,6 @@ class VtkHdfWriter:
         # Data sets stay open: a failure to write when a data set is closed would not be reported
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
-        self._usual: dict[str, np.integer] = {}  # the value of all rows so far, of tables in USUAL
 
     def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one time step to the file.
@@ -181,13 +178,11 @@ class VtkHdfWriter:
         damage older steps."""
         start, tail = state.rows.get(name, 0), values.shape[1:]
         if name not in self._data:
-            if name in USUAL:
-                self._usual[name] = values.flat[0]
             long = aligned or len(values) > 1
             rows = min(max(len(values), 1), CHUNK) if long else 256
             self._data[name] = self._root.create_dataset(
                 name, (0, *tail), values.dtype, maxshape=(None, *tail), chunks=(rows, *tail),
-                compression=1 if long else None, shuffle=long, fillvalue=self._usual.get(name),
+                compression=1 if long else None, shuffle=long,
             )  # fmt: skip
             if (unit := UNITS.get(name.rpartition("/")[2])) is not None and "Offsets" not in name:
                 self._data[name].attrs["units"] = np.bytes_(unit)
@@ -198,10 +193,7 @@ class VtkHdfWriter:
         # low-level functions of h5py: assignment to a data set takes ten times as long for a single number
         if aligned:
             start += -start % data.chunks[0]
-        if name in self._usual and values.flat[0] == self._usual[name]:
-            data.id.set_extent((start + 1, *tail))
-        elif len(values):
-            self._usual.pop(name, None)
+        if len(values):
             data.id.set_extent((start + len(values), *tail))
             space = data.id.get_space()
             space.select_hyperslab((start, *zeros), values.shape)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..files.fields import Fields
 from ..files.result import Result
 from ..geometry.points import in_tets
+from ..geometry.sections import crossing, section_of_triangles
 from .fields import at_nodes, from_points
 from .picture import MICRO, Stage
 
@@ -60,15 +61,10 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
 def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:
     """Ascending heights (m) at which the vertical line at x, y (m) crosses a closed surface. The line enters the body at the first
     height, leaves it at the second, and so on. points (n, 3) m; triangles (m, 3)."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    u, v = b[:, :2] - a[:, :2], c[:, :2] - a[:, :2]
-    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    size = max(float(np.abs(area).max()), 1e-300)
-    # Slightly off x, y: a symmetric surface has edges exactly there, which count twice or not at all
-    d = np.array([x, y]) + np.array([1.0, 0.7]) * 1e-6 * float(np.ptp(points[:, 0])) - a[:, :2]
-    steep = np.abs(area) < 1e-12 * size
-    safe = np.where(steep, 1.0, area)
-    s = (d[:, 0] * v[:, 1] - d[:, 1] * v[:, 0]) / safe
-    t = (u[:, 0] * d[:, 1] - u[:, 1] * d[:, 0]) / safe
-    hit = ~steep & (s >= 0) & (t >= 0) & (s + t <= 1)
-    return sorted((a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2])[hit].tolist())
+    ends, _ = crossing(points, section_of_triangles(points, triangles, y), y)
+    (x0, z0), (x1, z1) = ends[:, 0].T, ends[:, 1].T
+    crossed = (x0 >= x) != (
+        x1 >= x
+    )  # a corner belongs to one side: of the segments that meet at it, an even number is crossed
+    z = z0[crossed] + ((x - x0) * (z1 - z0))[crossed] / (x1 - x0)[crossed]
+    return sorted(z.tolist())

@@ -33,24 +33,21 @@ _DRAWN = ("eps_p", "T", "von_mises")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
-def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
-    """Write coating.json with all measures, and coating_depth.csv with mean values in horizontal slices; SI units. Returns the paths.
-    Raises StoreError."""
-    paths = [folder / "coating.json", folder / "coating_depth.csv"]
-    write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
-    write_text(paths[0], json.dumps(asdict(measures), indent=2) + "\n")
-    return paths
-
-
-def write_growth(folder: Path, rows: list[Growth]) -> list[Path]:
-    """Write coating_growth.csv and growth.png: the measures of the coating after each impact. Returns the paths. Raises
+def write_measures(folder: Path, measures: CoatingMeasures) -> None:
+    """Write coating.json with all measures, and coating_depth.csv with mean values in horizontal slices; SI units. Raises
     StoreError."""
+    write_rows(folder / "coating_depth.csv", list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
+    write_text(folder / "coating.json", json.dumps(asdict(measures), indent=2) + "\n")
+
+
+def write_growth(folder: Path, rows: list[Growth]) -> None:
+    """Write coating_growth.csv and growth.png: the measures of the coating after each impact. Raises StoreError."""
     write_rows(folder / "coating_growth.csv", list(rows[0]), rows)
-    return [folder / "coating_growth.csv", draw_growth(rows, folder / "growth.png")]
+    draw_growth(rows, folder / "growth.png")
 
 
-def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
-    """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Returns the path. Colours of a cold coating:
+def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> None:
+    """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Colours of a cold coating:
     strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Of several
     materials also these. Raises StoreError if no step is stored."""
     x = np.linspace(-radius, radius, 400)
@@ -59,14 +56,13 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=phases_of(result.plan))
     if len(result.times(COLD)):
         save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
-        return path
+        return
     read(result, -1, _DRAWN)
     surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
     section_cut = cut(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
     ranges = picture.with_phases(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN})
     save(panels(section_cut, ranges, heading), path)
-    return path
 
 
 def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
@@ -119,9 +115,9 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
     return path
 
 
-def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
+def stress_profile(measures: CoatingMeasures, path: Path) -> None:
     """Draw the in-plane stress against height as PNG: mean, range of 5 to 95 % of the volume, and the parts from cooling and from
-    impacts. Returns the path."""
+    impacts."""
     rows = measures.depth
     z, mean, low, high = (np.array(column) for column in zip(*(
         (row["z_m"] * MICRO, 0.5e-6 * (row["sigma_xx"] + row["sigma_yy"]), 1e-6 * row["sigma_p5"], 1e-6 * row["sigma_p95"])
@@ -141,7 +137,6 @@ def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
     axis.set(xlabel="in-plane stress (xx + yy) / 2 (MPa)", ylabel="height above the substrate's surface (µm)")
     axis.legend(fontsize=8)
     save(figure, path)
-    return path
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
@@ -174,8 +169,8 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     return paths
 
 
-def draw_growth(rows: list[Growth], path: Path) -> Path:
-    """Draw thickness with its range, roughness and porosity against the number of impacts, as PNG. Returns the path."""
+def draw_growth(rows: list[Growth], path: Path) -> None:
+    """Draw thickness with its range, roughness and porosity against the number of impacts, as PNG."""
     impacts = [each["impacts"] for each in rows]
     um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
     share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}
@@ -191,4 +186,3 @@ def draw_growth(rows: list[Growth], path: Path) -> Path:
     for axis in (above, below):
         axis.legend(fontsize=8)
     save(figure, path)
-    return path
