@@ -11,7 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from ..core.cores import cores
 from ..errors import ColdsprayError, StoreError
+from ..files.outputs import claim_folder, keep_toml
+from ..units import UnitError, parse
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
@@ -44,8 +47,6 @@ def quantity(
     smallest and largest value, as text."""
 
     def read(text: str) -> float:
-        from ..units import UnitError, parse
-
         try:
             value = parse(form.format(text), dimension)
         except UnitError as error:
@@ -126,8 +127,6 @@ def add_jobs(option: Option, text: str) -> None:
 
 def jobs_of(arguments: argparse.Namespace) -> int:
     """Number of simultaneous computations: --jobs, by default the number of cores."""
-    from ..core.cores import cores
-
     return arguments.jobs or cores()
 
 
@@ -143,8 +142,6 @@ def share(text: str, option: str) -> float:
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
     """Make the folder of a study (--out, or runs/<verb>-<scene name>) and write the scene into it. Returns the folder. names: file
     names of the study. Raises StoreError if the folder holds the study of another scene."""
-    from ..files.outputs import claim_folder, keep_toml
-
     out: Path = arguments.out or Path("runs") / f"{verb}-{scene.name}"
     claim_folder(out, verb, names, [arguments.scene], arguments.force)
     keep_toml(out / "scene.toml", scene.to_toml(), "study")

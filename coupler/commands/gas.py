@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneError
 from ..files.inputs import read_toml
 from ..files.outputs import MARK, claim_file
+from ..spray import nozzles
+from ..studies.table import write_rows
+from ..units import show
 from .arguments import Commands, Option, add_command, add_force, path, remake
 
 if TYPE_CHECKING:
     from ..physics.materials import Material
     from ..spray.flight import Flight
     from ..spray.gas import Flow
-    from ..spray.nozzles import Nozzle
 
 DIAMETERS = ("5 um", "10 um", "15 um", "20 um", "25 um", "30 um", "40 um", "50 um", "60 um")
 _FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "powder_temperature", "drag")
@@ -78,16 +80,15 @@ def setup(
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..scene.values import DIAMETER
-    from ..spray.nozzles import unknown
 
-    metals, nozzles = known(arguments)
+    metals, of_name = known(arguments)
     for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
         if out is not None:
             claim_file(out, (suffix,), [arguments.library] if arguments.library else [], arguments.force)
     conditions, found = scene_gas.read({field: vars(arguments)[field] for field in (*_FIELDS, "bow_shock")})
     problems = [f"--{_NAMES.sub(lambda name: _OPTIONS[name[0]], text).replace(' = ', ' ', 1)}" for text in found]
-    if arguments.nozzle not in nozzles:
-        problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
+    if arguments.nozzle not in of_name:
+        problems.append(f'--nozzle "{arguments.nozzle[:40]}": {nozzles.unknown(arguments.nozzle, of_name)}')
     for option in ("material", "substrate"):
         name = vars(arguments).get(option)
         if name is not None and name not in metals:
@@ -100,15 +101,14 @@ def setup(
             problems.append(f'{sizes} "{text[:40]}" {error}')
     if problems or conditions is None:
         raise SceneError(problems, command)
-    flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
+    flow = scene_gas.flow(conditions, of_name[conditions.nozzle])
     return flow, metals, diameters, partial(scene_gas.flights, conditions, flow)
 
 
-def known(arguments: argparse.Namespace) -> "tuple[dict[str, Material], dict[str, Nozzle]]":
+def known(arguments: argparse.Namespace) -> "tuple[dict[str, Material], dict[str, nozzles.Nozzle]]":
     """The metals and the nozzles of the library and of the file --library. Raises SceneError with all problems of the file."""
     from ..physics import materials
     from ..plan.own import with_library
-    from ..spray import nozzles
 
     raw: dict[str, Any] = read_toml(arguments.library) if arguments.library else {}
     problems = with_library(raw, str(arguments.library))
@@ -119,9 +119,7 @@ def known(arguments: argparse.Namespace) -> "tuple[dict[str, Material], dict[str
     return metals, known
 
 
-def shown(nozzle: "Nozzle") -> str:
-    from ..units import show
-
+def shown(nozzle: nozzles.Nozzle) -> str:
     lengths = ("inlet", "throat", "exit", "converging", "diverging", "barrel", "chamber")
     dimensions = ", ".join(f"{name} {show(vars(nozzle)[name], 'mm')}" for name in lengths if vars(nozzle)[name])
     texts = [f"  {name}: {text}" for name in ("source", "assumed") if (text := vars(nozzle)[name])]
@@ -165,8 +163,6 @@ def _at_exit(flow: "Flow", flight: "Flight") -> float:
 
 
 def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
-    from ..studies.table import write_rows
-
     head = f"{MARK} gas; {remake(arguments)}"
     columns = ("diameter_um", "exit_velocity_m_s", "velocity_m_s", "temperature_K", "flight_time_ms")
     rows = [

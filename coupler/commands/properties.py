@@ -1,10 +1,16 @@
 """The command `coldspray properties`: effective stiffness, conductivities and strength of a cold coating, and a coated strip."""
 
 import argparse
+import json
+import shutil
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ..files.inputs import reading
+from ..files.outputs import claim_folder, write_text
+from ..measures import PROPERTIES
+from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands
 
@@ -47,17 +53,11 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
-    import json
-    import shutil
-    from dataclasses import asdict
-
     from rich.console import Console
 
-    from ..files.outputs import claim_folder, write_text
     from ..files.result import Result
     from ..properties import pull, strip
     from ..properties.measure import of_seeds
-    from ..studies.table import write_rows
 
     folder, first = arguments.out or arguments.runs[0] / "properties", Result(arguments.runs[0])
     names = [*NAMES, *pull.NAMES * arguments.pull, *strip.NAMES * (arguments.strip is not None)]
@@ -134,7 +134,6 @@ def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from ..measures import PROPERTIES
     from ..report.words import with_error
 
     shown = Table(box=SIMPLE_HEAD, pad_edge=False)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import ColdsprayError, StoreError
 from ..files.outputs import MARK, claim_folder
 from ..measures import UNDECIDED
+from ..studies.table import in_columns
 from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path, teller, working
 
 if TYPE_CHECKING:
@@ -126,8 +127,6 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
     """The distributions as aligned text lines. The column `error` is the median of the resolution errors."""
-    from ..studies.table import in_columns
-
     head = ("", "runs", "mean", "deviation", "error", "5 %", "median", "95 %", "unit", "strongest rank correlation")
     cells: list[tuple[str, ...]] = [head]
     for spread in measures:

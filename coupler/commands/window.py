@@ -10,6 +10,7 @@ from .. import __version__
 from ..errors import SceneError
 from ..files.outputs import MARK
 from ..measures import REBOUNDS, STICKS
+from ..studies.table import write_rows
 from . import gas
 from .arguments import Commands, add_command, add_force, path, remake, share
 
@@ -92,8 +93,6 @@ def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
 
 
 def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
-    from ..studies.table import write_rows
-
     values = spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
     rows = [
         dict(zip(COLUMNS, map(float, row), strict=True)) | {"version": __version__} for row in zip(*values, strict=True)
