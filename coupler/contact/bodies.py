@@ -8,7 +8,6 @@ import numpy as np
 
 from ..core.arrays import Histories
 from ..core.records import Shape, copied, put
-from ..errors import SolverError
 from . import broad
 from . import kernels as k
 from .bond import Bond
@@ -57,12 +56,7 @@ class BodyContact(BodyContactState):
     pairs: Contact
 
     def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
-        """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError unless there is one
-        bulk modulus for each body."""
-        if len(bulk_modulus) != surfaces.bodies:
-            raise SolverError(
-                f"the contact of {surfaces.bodies} bodies needs {surfaces.bodies} bulk moduli, but {len(bulk_modulus)} are given"
-            )
+        """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient."""
         self.surfaces = surfaces
         self._is_new = True  # the first search takes the bonded nodes as they are
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)

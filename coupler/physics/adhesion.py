@@ -295,14 +295,11 @@ class Adhesion:
         """Mask (nodes,) of the bonded nodes of an interface, by the criterion.
 
         plastic_strain, pressure (nodes,): at the interface; the caller takes the larger value of both sides, or the maximum over
-        time. velocity_ratio: impact velocity divided by critical velocity. Raises ValueError if the value that the criterion needs is
-        missing.
+        time. velocity_ratio: impact velocity divided by critical velocity. The criterion needs only one of them.
         """
         if self.kind == "none" or self.criterion == "all":
             return np.full(nodes, self.kind != "none")
         value = {"plastic_strain": plastic_strain, "pressure": pressure, "velocity": velocity_ratio}[self.criterion]
-        if value is None:
-            raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value at each node, got None")
         return np.broadcast_to(np.asarray(value) >= self.limit, (nodes,)).copy()
 
     @property

@@ -66,11 +66,9 @@ def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
     fit, and the distance of the first value from the fit. If the standard deviation is smaller than the range of the values per step of
     refinement, the error is the sum of the terms, the first one times SAFETY. Otherwise it is the sum times SAFETY_UNCERTAIN times the
     ratio of standard deviation to range per step. If all values are equal, it is 0. For two values the order is FORMAL_ORDER and the
-    error is SAFETY_UNCERTAIN a h^p (Roache 1994, J. Fluids Eng. 116, 405). Raises ValueError for fewer than two values.
+    error is SAFETY_UNCERTAIN a h^p (Roache 1994, J. Fluids Eng. 116, 405).
     """
     H, y = np.asarray(h, float), np.asarray(values, float)
-    if len(y) < 2:
-        raise ValueError("an error estimate needs values at two or more spacings")
     if len(y) == 2:
         return SAFETY_UNCERTAIN * abs(line(H, y, FORMAL_ORDER)[1]) * float(H[0]), FORMAL_ORDER
     best = min(range(len(ORDERS)), key=lambda k: _scatter(H, y, float(ORDERS[k]), 3))

@@ -71,8 +71,6 @@ class Cloud(MetalState):
         """Raise SplatError, with a remedy, if the cloud cannot be meshed."""
         x = np.asarray(self.x)
         n = len(x)
-        if x.ndim != 2 or x.shape[1] != 3:
-            raise SplatError(f"points must have the shape (n, 3), not {x.shape}: give x, y and z of each point")
         if n < MIN_POINTS:
             raise SplatError(
                 f"the cloud has {n} points, but {MIN_POINTS} or more are needed: use a smaller spacing of the points"

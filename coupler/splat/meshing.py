@@ -172,8 +172,6 @@ def build_mesh(
 def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) -> Report:
     """Quality measures of a mesh with points (n,3) m and tets (m,4). solid: exact volume of the body, m3; size: element size, m.
     Raises SplatError with all limits that the mesh exceeds."""
-    if len(tets) == 0:
-        raise SplatError("the mesh has no tetrahedra")
     volume = volumes(points, tets)
     gamma, steps = quality.gamma(points, tets), quality.step_lengths(points, tets)
     report: Report = {

@@ -56,8 +56,6 @@ def test_what_each_criterion_bonds() -> None:
     by_velocity = Adhesion(kind="tied", criterion="velocity")
     assert by_velocity.bonded(3, velocity_ratio=1.01).all()
     assert not by_velocity.bonded(3, velocity_ratio=0.99).any()
-    with pytest.raises(ValueError, match="needs a value"):
-        by_velocity.bonded(3)
 
 
 def test_the_law_is_what_bonds_take() -> None:
