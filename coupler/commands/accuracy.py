@@ -57,8 +57,10 @@ def here(recalibrate: bool = False) -> "Pace":
     from ..studies import pace
 
     def measure() -> float:
+        from ..deposition.run import run
+
         with options.working("measuring the speed of this machine with a small impact (only once)"):
-            return pace.measure()
+            return pace.measure(run)
 
     return pace.of_this_machine(measure, recalibrate)
 

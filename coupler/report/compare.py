@@ -125,8 +125,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
 
 
 def comparison_page(results: Sequence[Result]) -> str:
-    """The comparison as an HTML page with picture, table and curves."""
-    check_count(len(results))
+    """The comparison as an HTML page with picture, table and curves. Raises StoreError as `comparison_picture`."""
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
     image = f'<img src="{embedded(comparison_picture(results))}" alt="cross-sections of the runs">'

@@ -1,7 +1,6 @@
 """The statistical error of a coating, from coatings whose particles are drawn from the same distributions with other seeds."""
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,13 +26,9 @@ def other_seeds(scene: Scene, count: int) -> dict[str, str]:
         raise StoreError(
             "--seeds: the scene of this run has no table [coating] and therefore no seed: leave --seeds out"
         )
-    data = tomllib.loads(scene.to_toml())
-    del data["particle"]  # these particles come from the seed of the scene
     seeds = range(scene.coating.seed + 1, scene.coating.seed + 1 + count)
-    return {
-        f"seed {n}": Scene.from_dict({**data, "coating": {**data["coating"], "seed": n}}, scene.name).to_toml()
-        for n in seeds
-    }
+    # without the particles, which come from the seed of the scene
+    return {f"seed {n}": scene.with_(particle=None, coating={"seed": n}).to_toml() for n in seeds}
 
 
 def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:

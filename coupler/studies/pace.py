@@ -21,6 +21,7 @@ from ..caches import user_folder
 from ..errors import ColdsprayError, StoreError
 from ..files.outputs import write_text
 from ..files.provenance import processor
+from ..files.result import Result
 from ..measures import CONVERGING, MEASURES
 from ..plan import refinement
 from ..plan.cost import forecast, step_time
@@ -67,7 +68,7 @@ def lines(plan: Plan, pace: Pace, verbose: bool = True) -> str:
 
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
-    """The speed of this machine. measure: the function of this module, which is called if the cache has no factor, or with `anew`. It
+    """The speed of this machine. measure: function that measures the factor, which is called if the cache has none, or with `anew`. It
     takes some seconds, or half a minute if kernels must be compiled. If it fails the factor is 1, and `source` has the reason."""
     path, factor = kept(), math.nan
     with suppress(OSError, ValueError):  # a missing or damaged file
@@ -91,21 +92,22 @@ def kept() -> Path:
     return user_folder() / f"pace_{re.sub(r'[^A-Za-z0-9.]+', '_', machine)}.txt"
 
 
-def measure() -> float:
-    """Measure the factor of this machine: the processor time of a step of a small impact in one thread (median over chunks of steps),
-    divided by that from the constants of `plan.cost`. It is limited to LEAST and MOST. Raises SolverError."""
-    from ..deposition.run import run  # loaded here: it needs the solver, an estimate does not
+def measure(run: Callable[..., Result]) -> float:
+    """Measure the factor of this machine with a small impact; it is limited to LEAST and MOST. run: `deposition.run.run`. Raises
+    SolverError."""
+    return min(max(min(_timed(run) for _ in range(REPEATS)), LEAST), MOST)
 
-    scene, factors = Scene.from_text(SMALL, "pace"), []
-    for _ in range(REPEATS):
-        marks: list[tuple[float, int]] = []  # processor time, steps so far
 
-        def probe(impact: Any, marks: list[tuple[float, int]] = marks) -> None:
-            marks.append((time.process_time(), impact.particle.steps))
+def _timed(run: Callable[..., Result]) -> float:
+    """Processor time of a step in one thread (median over chunks of steps), divided by the time from the constants of `plan.cost`."""
+    marks: list[tuple[float, int]] = []  # processor time, steps so far
 
-        with TemporaryDirectory() as folder:
-            result = run(scene, folder + "/pace", threads=1, probe=probe, quiet=True, checkpoint_every=math.inf)
-            expected = step_time(1.0, int(result.points), int(result.elements), scene.resolution.engine)
-        seconds, steps = np.diff(marks, axis=0).T
-        factors.append(float(np.median(seconds / steps)) / expected)
-    return min(max(min(factors), LEAST), MOST)
+    def probe(impact: Any) -> None:
+        marks.append((time.process_time(), impact.particle.steps))
+
+    with TemporaryDirectory() as folder:
+        scene = Scene.from_text(SMALL, "pace")
+        result = run(scene, folder + "/pace", threads=1, probe=probe, quiet=True, checkpoint_every=math.inf)
+        expected = step_time(1.0, int(result.points), int(result.elements), scene.resolution.engine)
+    seconds, steps = np.diff(marks, axis=0).T
+    return float(np.median(seconds / steps)) / expected

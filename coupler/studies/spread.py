@@ -1,7 +1,6 @@
 """Influence of a choice of the model: a scene with the other strength sets of its metals, or with other coefficients of friction."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -31,14 +30,12 @@ def other_frictions(scene: Scene) -> dict[str, str]:
 def other_sets(scene: Scene) -> dict[str, str]:
     """The scenes (TOML) in which one metal has another strength set, by name, such as "Ni Steinberg_1996". A metal whose law is given
     in the scene has no other set."""
-    data = tomllib.loads(scene.to_toml())
     scenes = {}
     for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
         table = scene.materials.get(name, {})
         for choice in sets_of({key: value for key, value in table.items() if key != "strength"}, name):
             if choice != scene.derived.material(name).strength.set:
-                changed = {**data, "materials": {**scene.materials, name: {**table, "strength": choice}}}
-                scenes[f"{name} {choice}"] = Scene.from_dict(changed, scene.name).to_toml()
+                scenes[f"{name} {choice}"] = scene.with_(materials={name: {"strength": choice}}).to_toml()
     return scenes
 
 
