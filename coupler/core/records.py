@@ -9,7 +9,7 @@ and checkpoints contain it. `copied` and `put` save and restore all fields, also
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
-from typing import Any, Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
+from typing import TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -18,17 +18,6 @@ from ..errors import CheckpointError
 
 R = TypeVar("R")
 S = TypeVar("S", bound="Sums")
-
-
-@runtime_checkable
-class Kept(Protocol):
-    """A part of a simulation that has its own functions to save and restore its state."""
-
-    def state(self) -> object:
-        """The state of the part, as a record for a checkpoint."""
-
-    def restore(self, state: Any) -> None:
-        """Set the part to a state that `state` returned."""
 
 
 class Sums:
@@ -109,19 +98,14 @@ def unfit(problem: str) -> CheckpointError:
 
 
 def copied(record: R) -> R:
-    """A copy of the record that an object is or derives from, with copies of its arrays, dicts and parts; None for None."""
-    if record is None:
+    """A copy of the record that an object is or derives from, with copies of its arrays, dicts and parts. Other objects, such as None
+    and numbers, are returned unchanged."""
+    if isinstance(record, np.ndarray | dict):
+        return record.copy()  # type: ignore[return-value]
+    if not hasattr(record, "__dataclass_fields__"):
         return record
     kind = next(each for each in type(record).__mro__ if "__dataclass_fields__" in vars(each))
-    return kind(**{f.name: _copied(vars(record)[f.name]) for f in fields(kind)})
-
-
-def _copied(value: object) -> object:
-    if isinstance(value, (np.ndarray, dict)):
-        return value.copy()
-    if isinstance(value, Kept):
-        return value.state()
-    return copied(value) if is_dataclass(value) else value
+    return kind(**{f.name: copied(vars(record)[f.name]) for f in fields(kind)})
 
 
 def put(record: R, into: R) -> None:
@@ -133,12 +117,10 @@ def put(record: R, into: R) -> None:
             own[...] = value
         elif isinstance(value, np.ndarray) and (len(own) or value.shape[1:] != own.shape[1:]):
             raise unfit(f"{name} has the shape {value.shape}, but {own.shape} is needed")
-        elif is_dataclass(value) and isinstance(own, Kept):
-            own.restore(value)
         elif is_dataclass(value):
             put(value, own)
         elif value is not None:
-            setattr(into, name, _copied(value))
+            setattr(into, name, copied(value))
 
 
 def take(record: R, index: np.ndarray) -> R:

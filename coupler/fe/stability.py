@@ -15,7 +15,7 @@ from ..compiling import njit
 from ..core import safety
 from ..core.arrays import Floats, Ints, Links
 from ..core.loops import ranges
-from ..core.records import Shape, copied, put, unfit
+from ..core.records import Shape
 from ..core.threads import share, together
 from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness
@@ -166,8 +166,8 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
 
 @dataclass(eq=False)
 class FrequencyState:
-    """State of the power iteration. w (n,3): its vector; random: state of the random generator; warm: whether w has been iterated;
-    known: number of nodes that have been part of an iteration."""
+    """State of the power iteration. w (n,3): its vector; random: state of the random generator after the last call; warm: whether w
+    has been iterated; known: number of nodes that have been part of an iteration."""
 
     w: Annotated[np.ndarray, Shape(-1, 3)]
     random: dict[str, object]
@@ -185,21 +185,6 @@ class HighestFrequency(FrequencyState):
         self._r = Response(self.w, np.zeros(nodes), np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
         self._elements = 0  # number of elements in the last call
 
-    def state(self) -> FrequencyState:
-        """The vector, and the state of the random generator."""
-        self.random = dict(self._random.bit_generator.state)
-        return copied(self)
-
-    def restore(self, state: FrequencyState) -> None:
-        """Restore a `state` of the same target. Raises CheckpointError if the state does not fit the target."""
-        put(state, self)
-        if not 0 <= self.known <= len(self.w):
-            raise unfit("the vector of the highest frequency has another length")
-        try:
-            self._random.bit_generator.state = self.random
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise unfit("its random numbers are not valid") from error
-
     def longest_step(
         self, t: FiniteElements, bound: float, n: int, m: int, springs: Links | None = None,
         inertia: ElementInertia | None = None, masses: tuple[np.ndarray, np.ndarray] | None = None,
@@ -215,7 +200,7 @@ class HighestFrequency(FrequencyState):
         w, f = self._r.w[:n], self._r.f
         for of_element in (self._r.dv, self._r.fe):  # elements that have become inactive do not take part
             of_element[m : self._elements] = 0.0
-        self._elements = m
+        self._elements, self._random.bit_generator.state = m, self.random
         size = float(np.sqrt(np.mean(w * w))) if self.warm else 0.0
         if not self.warm:
             w[:] = self._random.standard_normal((n, 3))
@@ -226,6 +211,7 @@ class HighestFrequency(FrequencyState):
         worst = np.argpartition(t.dt_of[:m], min(PERTURBED_ELEMENTS, m - 1))[:PERTURBED_ELEMENTS]
         near = np.unique(mesh.conn[worst])
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))
+        self.random = dict(self._random.bit_generator.state)
         omega2, scale, mass, square = 0.0, 1.0, mass[:n], self._r.square[:n]
         whole = mass.sum()
         for _ in range(4 if self.warm else 25):

@@ -372,12 +372,6 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
     assert later.pairs.sums.friction_heat == pytest.approx(contact.pairs.sums.friction_heat, rel=1e-12)
 
 
-def test_each_body_needs_a_bulk_modulus() -> None:
-    b = Blocks(SLAB, SLIDER)
-    with pytest.raises(SolverError, match="contact of 2 bodies needs"):
-        BodyContact(b.surfaces, b.target.nodes.x, [1e11], 0.3)
-
-
 def test_positions_that_are_no_numbers_are_refused() -> None:
     b = Blocks(SLAB, SLIDER)
     contact, x = b.touch(), b.target.nodes.x.copy()

@@ -6,6 +6,7 @@ from blocks import Blocks, pinched
 
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import interface
+from coupler.core.records import copied, put
 from coupler.deposition.summary import unsettled
 from coupler.errors import SolverError
 from coupler.fe import mesh as meshes
@@ -204,7 +205,7 @@ def test_elements_at_rest_have_no_part_in_the_highest_frequency() -> None:
     n, m = len(t.nodes.x), len(t.mesh.conn)
     own, restored = HighestFrequency(n, m), HighestFrequency(n, m)
     own.longest_step(t, bound, n, m)
-    restored.restore(own.state())
+    put(copied(own), restored)
     half = int(t.mesh.conn[: m // 2].max()) + 1, m // 2
     longest = own.longest_step(t, bound, *half)
     assert bound < longest < 3.0 * bound  # no limit of the function hides it
