@@ -120,7 +120,7 @@ def _pores(where: str, particle: Particle, spacing: float) -> Iterator[Problem]:
         return
     if pores is not None and pores.diameter < _CELLS_OF_PORE * spacing:
         finer = _um(pores.diameter / _CELLS_OF_PORE)
-        text = f"not resolved by points {_um(spacing)} apart: give larger pores, or resolution.spacing, {finer} at most"
+        text = f"too small for points {_um(spacing)} apart: enlarge them, or set resolution.spacing to at most {finer}"
         yield _wrong(f"{where}.pore_diameter", pores.diameter, "um", text, f"{where}.porosity", *looked)
 
 
@@ -133,11 +133,11 @@ def _core(d: Derived, where: str, particle: Particle) -> Iterator[Problem]:
     size = core.share ** (1.0 / 3.0) * particle.diameter
     looked = (key, *(f"{where}.{name}" for name in _EXTENT), "preset", "resolution.spacing", "resolution.engine")
     if (wall := 0.5 * (particle.diameter - size)) <= 0.0:
-        text = f"a core of {_um(size)} leaves no shell in a particle of {_um(particle.diameter)}: give less"
+        text = f"a core of {_um(size)} leaves no shell in a particle of {_um(particle.diameter)}: give a smaller core"
         yield looked, f"{key}: {text}"
     elif (least := min(wall, size / _CELLS_OF_PORE)) < d.spacing:
         part = f"core of {_um(size)}" if least < wall else f"shell of {_um(wall)}"
-        text = f"points {_um(d.spacing)} apart do not resolve a {part}: give resolution.spacing, {_um(least)} at most"
+        text = f"points {_um(d.spacing)} apart do not resolve a {part}: set resolution.spacing to at most {_um(least)}"
         yield looked, f"{key}: {text}"
     if particle.shape == "hollow_sphere":
         yield (f"{where}.core", f"{where}.shape"), f'{where}.core: a particle with shape = "hollow_sphere" has no core'
@@ -232,7 +232,7 @@ def _surface(d: Derived) -> Iterator[Problem]:
     if max(-low, high) > _HIGHEST * body.height:
         reach = f"the surface reaches from {_um(low)} to {_um(high)}"
         most = f"at most {_HIGHEST:g} of substrate.height = {text_of(body.height, 'um')} is possible"
-        text = f"{' with '.join(shapes)}: {reach}; {most}: give less, or a higher substrate"
+        text = f"{' with '.join(shapes)}: {reach}; {most}: give smaller heights, or a higher substrate"
         yield (*shapes, "substrate.height"), text
 
 
@@ -250,7 +250,7 @@ def _layers(d: Derived) -> Iterator[Problem]:
     shaped = [name for name in ("roughness", "groove", "step", "slope", "height_map") if dict(body)[name]]
     if body.layer and shaped:
         field = f"substrate.{shaped[0]}"
-        yield ("substrate.layer", field), f"{field}: layers are flat: remove one of both"
+        yield ("substrate.layer", field), f"{field}: layers need a flat surface: remove {field} or substrate.layer"
 
 
 def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:
@@ -278,15 +278,15 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     given = f"resolution.spacing = {spacing}:"
     if scene.resolution.spacing is None:
         largest = max(scene.particles, key=lambda p: p.volume)
-        given = f'preset = "{scene.preset}": its finest spacing next to {_size(largest)}, {spacing},'
+        given = f'preset = "{scene.preset}": with {_size(largest)} its finest spacing is {spacing}, which'
     if d.points_of(smallest) < estimates.LEAST_POINTS:
         widest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
         text = f"gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed"
-        finer = f"give resolution.spacing, at most {_um(widest)}, or leave the smallest particles out"
+        finer = f"set resolution.spacing to at most {_um(widest)}, or leave the smallest particles out"
         yield needs, f"{given} {text}: {finer}"
     elif thinnest < estimates.LEAST_LAYERS * d.spacing:
         text = f"is too coarse for {_um(thinnest)}, the thinnest part of this {flattest.shape}"
-        finer = f"give resolution.spacing, at most {_um(thinnest / estimates.LEAST_LAYERS)}"
+        finer = f"set resolution.spacing to at most {_um(thinnest / estimates.LEAST_LAYERS)}"
         yield (*needs, *_fields(scene, "shape")), f"{given} {text}: {finer}"
     coarsest = smallest.diameter / 4
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
@@ -363,8 +363,8 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
         least = strength**2 / (2.0 * stiffness)
         if energy < least:
             text = (
-                f"less than the {least:.3g} J/m2 that the springs of a bond store at {text_of(strength, 'MPa')} with this spacing:"
-                " give more energy, 0 for a brittle bond, less strength, or a finer preset"
+                f"too small: the springs of a bond store {least:.3g} J/m2 at its strength of {text_of(strength, 'MPa')}:"
+                " give more energy, or 0 (brittle bond), less strength, or a finer preset"
             )
             looked = f"adhesion.{prefix}strength", "resolution.spacing", "preset"
             yield _wrong(f"adhesion.{prefix}energy", energy, "J/m2", text, *looked)

@@ -104,7 +104,7 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
         if name not in catalogue:
             raise ValueError(f'{key} = "{name[:40]}": {unknown(name[:40], catalogue)}')
     if powder.files and not files:
-        raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} has a name of this form')
+        raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} matches this pattern')
     shell = catalogue[powder.material]
     rho = shell.rho
     if powder.core is not None:

@@ -57,11 +57,9 @@ def arrival(
     are computed together. Raises ColdsprayError; the message begins with the name of the field."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
-        head = (
-            f"pressure = {units.rounded(conditions.pressure, 'bar')}: it accelerates {units.rounded(diameter, 'um')} of"
-        )
-        limits = f"a scene needs {_SLOWEST:g} to {_FASTEST:g} m/s"
-        raise ColdsprayError(f"{head} {material.name} to {flown.velocity:.3g} m/s; {limits}")
+        head = f"pressure = {units.rounded(conditions.pressure, 'bar')}: {material.name} of {units.rounded(diameter, 'um')}"
+        limits = f"a scene needs {_SLOWEST:g} to {_FASTEST:g} m/s: change the gas or the nozzle"
+        raise ColdsprayError(f"{head} reaches {flown.velocity:.3g} m/s; {limits}")
     arriving = {"velocity": flown.velocity, "temperature": flown.temperature}
     return {field: units.rounded(value, *_UNITS[field]) for field, value in arriving.items()}
 
@@ -133,7 +131,7 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
     away = [field for field in arriving if units.rounded(dict(particle)[field], *_UNITS[field]) != arriving[field]]
-    used = f"the scene's own {' and '.join(of_scene[field] for field in away)} used instead" if away else "used here"
+    used = f"replaced by {' and '.join(of_scene[field] for field in away)} of the scene" if away else "used here"
     which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
     return f"{which}gives {arriving['velocity']}, {arriving['temperature']}, {used}"
 

@@ -59,7 +59,7 @@ def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tupl
         at = float(np.hypot(*places[np.isinf(z)].T).min())
         raise InputError(
             table.file,
-            f"has no height {at * 1e6:.3g} um from its middle, the substrate has a radius of {diameter * 5e5:.3g} um:"
+            f"has no height at {at * 1e6:.3g} um from its middle, but the substrate has a radius of {diameter * 5e5:.3g} um:"
             " give a larger unit, a larger map without holes, or a smaller substrate.diameter",
         )
     from scipy.ndimage import gaussian_filter  # its import takes longer than all others of a plan

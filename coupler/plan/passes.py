@@ -64,12 +64,12 @@ def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], li
     if rate.max() < _LEAST * float(spot.across(0.0)):
         field, nearest = "step" if path.first is None else "first", units.rounded(float(away.min()), "mm")
         raise ValueError(
-            f"{field}: no pass reaches the patch: the nearest line is {nearest} away, the spot has a radius of {reach}"
+            f"{field}: the nearest line is {nearest} from the coated area, beyond the spot of radius {reach}: move it closer"
         )
     if path.length < _ROOM * spot.reach:
         least = units.rounded(_ROOM * spot.reach, "mm")
         raise ValueError(
-            f"length = {length}: the spot does not leave the patch between two passes: give at least {least}"
+            f"length = {length}: the spot does not leave the coated area between passes: give at least {least}"
         )
     counts = divided(number, rate)
     times = [
@@ -81,5 +81,5 @@ def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], li
     waits = [float(after - before) for before, after in pairwise(times)]
     if max(waits, default=0.0) > units.parse(DWELL.high, "time"):
         long = units.rounded(max(waits), "s")
-        raise ValueError(f"length = {length}: the patch waits {long} for the gun, at most {DWELL.high} are possible")
+        raise ValueError(f"length = {length}: the gun returns after {long}, but {DWELL.high} is the limit: give less")
     return [int(count) for count in counts if count], [*waits, None]

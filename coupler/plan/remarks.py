@@ -30,7 +30,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         yield text
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points instead of {usual}"
-        yield f"the spacing is that for the smallest or thinnest particle: the largest has {points}"
+        yield f"the smallest or thinnest particle sets the spacing: the largest has {points}"
     shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
         yield (
@@ -66,13 +66,12 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if len(impacts) > 1 and walls and min(walls) < (size := scene.derived.splat_element_size):
         yield (
             f"the elements of a splat, {units.rounded(size, 'um')}, are larger than the shell of {units.rounded(min(walls), 'um')}: the"
-            " surface of its core is jagged; give a finer preset, or splat.element_size"
+            " surface of its core is jagged; give a finer preset, or a smaller splat.element_size"
         )
     for name in sorted({m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if m.is_ceramic}):
         yield (
-            f"{name} is a ceramic: no metallic bond forms with it, unless [[adhesion.pair]] has its law; a particle of it is embedded"
-            " or rebounds by its motion, and is broken and not deposited above its tensile_limit, by default that of bulk specimens; a"
-            " core of it cracks there"
+            f"{name} is a ceramic: it makes no metallic bond without a law in [[adhesion.pair]]; its particles embed or rebound."
+            " Above tensile_limit (default: that of bulk specimens) a particle breaks and is not deposited, and a core cracks"
         )
     if base.is_polymer:
         yield f"no bond of metals forms on {base.name}, a polymer: the particle stays only if the polymer holds it"
@@ -86,14 +85,13 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
         yield (
-            f"{fewest} points per particle are too few for bonds by exposure: bonds are too weak, critical velocities are 6 to 10 %"
-            ' too high with 5000 points, and with 1000 points there may be none; give preset = "fine"'
+            f"{fewest} points per particle are too few for bonds by exposure: with 5000 points critical velocities are 6 to 10 %"
+            ' too high, with 1000 points no bonds may form; give preset = "fine"'
         )
     if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
         yield (
-            "bonds by exposure without hardening by gradients of plastic strain (effect gradient_hardening; taylor_alpha and burgers of"
-            " the metals): verdicts do not converge with the spacing, and nickel sticks at about 20 % lower"
-            " velocities than with this effect"
+            "the effect gradient_hardening is off (it needs taylor_alpha and burgers of the metals): with bonds by exposure verdicts do"
+            " not converge with the spacing, and nickel sticks at velocities about 20 % too low"
         )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(absorbing_distance(scene, scene.particle.offset)):

@@ -81,7 +81,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
     """Lines about the strength set of each metal and the hardness of the powder; without `brief` also about sources."""
     metals = {m.name: m for m in (*(m for impact in plan.impacts for m in impact.materials), *plan.target.materials)}
     hardened = max(impact.initial_strain for impact in plan.impacts)
-    powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "without hardness, as in its set"
+    powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "as hard as in its strength set"
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}
     hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]
     if plan.effects.gradient_hardening and hard:

@@ -89,9 +89,9 @@ class Feedstock(Section):
             raise ValueError("needs the share of its core, not the diameter, because its particles differ in size")
         check_pores(self.porosity, self.pore_diameter)
         if self.porosity > 0.0 and self.files:
-            raise ValueError("has no porosity with files: a file has its pores as surfaces inside it")
+            raise ValueError("has porosity and files: remove porosity (a file has its own pores)")
         if self.porosity > 0.0 and self.shapes.get("hollow_sphere", 0.0) > 0.0:
-            raise ValueError("has no porosity with hollow spheres: leave out one of both")
+            raise ValueError("has porosity and hollow spheres: remove one of them")
         return self
 
 
@@ -165,7 +165,7 @@ class Coating(PowderTable):
             check_shares([powder.share for powder in self.powder])
         if self.number % self.layers:
             raise ValueError(
-                f"needs layers that divide number = {self.number}, because all layers have the same number of particles"
+                f"needs number = {self.number} to be a multiple of layers = {self.layers}: all layers have equally many particles"
             )
         return self
 

@@ -77,7 +77,7 @@ class Particle(Section):
             raise ValueError('has a file: set shape = "file", or remove file')
         check_pores(self.porosity, self.pore_diameter)
         if self.porosity > 0.0 and self.shape in ("hollow_sphere", "file"):
-            raise ValueError(f'has no porosity with shape = "{self.shape}": a file has its pores as surfaces inside it')
+            raise ValueError(f'has porosity and shape = "{self.shape}": remove porosity (a file has its own pores)')
         return self
 
     def pores(self) -> morphology.Pores | None:

@@ -43,7 +43,7 @@ def test_values_of_a_form_are_those_of_its_text(name):
         ("single", "particle.velocity", "500 mm", 'is a length: needs a velocity with its unit, such as "500 m/s"'),
         ("single", "particle.diameter", "25", "needs a length with its unit"),
         ("single", "substrate.material", "Unobtainium", "unknown material"),
-        ("coating", "coating.layers", "3", "divide number"), ("job", "gas.pressure", "2 bar", "too low for nozzle"),
+        ("coating", "coating.layers", "3", "multiple of layers"), ("job", "gas.pressure", "2 bar", "too low for nozzle"),
         ("job", "powder.sizes", "45-15 um", "smaller sieve size first"), ("job", "within", "30", "needs a time with its unit"),
     ],
 )  # fmt: skip

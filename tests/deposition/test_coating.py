@@ -70,7 +70,7 @@ def test_even_places_keep_apart() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("layers = 4", "layers = 3", "layers that divide number = 40"),
+        ("layers = 4", "layers = 3", "number = 40 to be a multiple of layers = 3"),
         ('smallest = "18 um"', 'smallest = "24 um"', "smallest <= diameter <= largest"),
         ("number = 40", "number = 0", "coating.number"),
         ("{ sphere = 0.5, oblate = 0.5 }", "{ cube = 1.0 }", "coating.shapes"),

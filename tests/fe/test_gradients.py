@@ -227,7 +227,7 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     machdyn = exposed.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n')
     assert not row(machdyn).on
     assert not row('effects = "all"\n' + machdyn).on
-    assert any("without hardening by gradients" in text for text in plan(Scene.from_text(machdyn)).warnings)
+    assert any("the effect gradient_hardening is off" in text for text in plan(Scene.from_text(machdyn)).warnings)
 
 
 def test_what_it_needs_is_said() -> None:

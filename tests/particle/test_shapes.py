@@ -278,7 +278,7 @@ def test_a_long_particle_needs_a_wider_target_and_more_time() -> None:
 
 def test_a_thin_wall_needs_points_across_it() -> None:
     (problem,) = problems_with(particle__shape="hollow_sphere", resolution__spacing="3.4 um")
-    assert "thinnest part of this hollow_sphere: give resolution.spacing, at most 3.27 um" in problem
+    assert "thinnest part of this hollow_sphere: set resolution.spacing to at most 3.27 um" in problem
 
 
 def test_shapes_that_are_not_known() -> None:

@@ -250,7 +250,7 @@ def test_the_gun_at_an_angle_and_the_ground_are_those_of_the_scenes(tmp_path: Pa
         ("shapes = { angular = 1.0 }", 'core = { material = "Ni", diameter = "9 um" }', "powder[2] needs the share of its core"),
         ("shapes = { angular = 1.0 }", 'porosity = 0.1\npore_diameter = "4 um"', "powder.pore_diameter"),
         ("shapes = { angular = 1.0 }", 'hardness = "9 HV"', "powder.hardness"),
-        ('spot = "6 mm"', 'passes = 2\nfirst = "30 mm"', "spray.first: no pass reaches the patch: the nearest line is 30 mm away"),
+        ('spot = "6 mm"', 'passes = 2\nfirst = "30 mm"', "spray.first: the nearest line is 30 mm from the coated area"),
         ('spot = "6 mm"', 'passes = 2\ndistribution = "no.csv"', 'spray.distribution = "no.csv": the file is missing'),
         ('"20 degC"', '"20 degC"\ngroove = { width = "40 um", depth = "9 um", angle = "80 deg" }', "substrate.groove.angle"),
     ],

@@ -227,9 +227,9 @@ def test_the_smallest_and_the_largest_are_looked_at():
     small = [NI | {"diameter": "8 um"}, NI]
     (problem,) = problems_with(particle=small, resolution__spacing="1.18 um")
     assert problem.startswith("resolution.spacing")
-    assert "a particle of 8 um 163 points; at least 200 are needed: give resolution.spacing, at most 1.1 um" in problem
+    assert "a particle of 8 um 163 points; at least 200 are needed: set resolution.spacing to at most 1.1 um" in problem
     (problem,) = problems_with(particle=[NI | {"diameter": "4 um"}, NI])
-    assert problem.startswith('preset = "standard": its finest spacing next to a particle of 25 um')
+    assert problem.startswith('preset = "standard": with a particle of 25 um its finest spacing')
     (problem,) = problems_with(particle=[NI, NI | {"diameter": "60 um", "velocity": "300 m/s"}])
     assert "substrate.height" in problem
     assert "a particle of 60 um" in problem

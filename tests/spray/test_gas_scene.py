@@ -98,7 +98,7 @@ def test_what_a_scene_says_of_its_particle_goes_before_the_gas():
     found = scene({"velocity": "500 m/s"})
     assert found.particle.velocity == 500.0
     assert found.particle.temperature == scene().particle.temperature
-    assert "the scene's own 500 m/s used instead" in describe(plan(found))
+    assert "replaced by 500 m/s of the scene" in describe(plan(found))
 
 
 def test_check_says_that_a_flake_is_not_a_sphere():
