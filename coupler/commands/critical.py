@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if bracket.velocity is None and (slowest := critical.slowest_rebound(rows)) is not None:
         print(f"slowest rebound: {slowest}")
     if arguments.repeat == 1:
-        print("one placement at each velocity: the band does not include the scatter of verdicts (use --repeat 3)")
+        print("the error (+-) does not include the scatter between placements: to measure it, use --repeat 3")
     print(resolution := critical.resolution_words(scene, bracket, coarser))
     if coarser:
         write_rows(out / critical.TABLE, critical.COLUMNS, rows, f"{about}\n{bracket.words}\n{resolution}")

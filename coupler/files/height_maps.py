@@ -35,7 +35,7 @@ def read_heights(path: Path) -> Surface:
     try:
         values = _image(path) if kind in IMAGES else _numbers(read_any_text(path, LARGEST_MAP))
         if not np.isfinite(values).all():
-            raise ValueError(f"it has {int((~np.isfinite(values)).sum())} values that are not numbers: fill them")
+            raise ValueError(f"it has {int((~np.isfinite(values)).sum())} values that are not numbers: replace them")
         if min(values.shape) < 3:
             raise ValueError("it has fewer than three rows or columns: give columns x, y, z or a matrix")
         if values.shape[1] == 3:

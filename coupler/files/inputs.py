@@ -210,7 +210,7 @@ def reading(folder: str | Path) -> Iterator[None]:
             yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {error}"[:200]
-        raise InputError(folder, f"cannot be read: its files are damaged or do not fit together ({reason})") from error
+        raise InputError(folder, f"cannot be read: its files are damaged or from different runs ({reason})") from error
 
 
 # --- limits of the machine

@@ -144,9 +144,9 @@ def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]
         places = places[1:]
     count = len(axes)
     if len(places) < count:
-        raise ValueError(f"besides a column that counts the lines, the table needs {_listed(axes, 'columns')}")
+        raise ValueError(f"the table needs {_listed(axes, 'columns')}, besides a column of line numbers")
     used = ", ".join(str(k + 1) for k in places[:count])
-    told = f"columns {used} are used as {', '.join(axes)}, the others are left out: name the columns with --columns"
+    told = f"columns {used} are used as {', '.join(axes)}, the others are left out: to choose, use --columns"
     return dict(zip(axes, (columns[k] for k in places[:count]), strict=True)), [told] if len(columns) > count else []
 
 

@@ -64,7 +64,7 @@ def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tupl
     large = [group for group in groups if len(group) >= MIN_POINTS]
     if not large:
         raise SplatError(
-            f"no {MIN_POINTS} points of the cloud lie within {LINK} spacings of each other: check the spacing "
+            f"fewer than {MIN_POINTS} points of the cloud lie within {LINK} spacings of each other: check the spacing "
             f"({cloud.spacing:.3g} m)"
         )
     bodies = [body for group in large for body in _separate(cloud, group, element_size, method)]

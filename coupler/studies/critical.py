@@ -206,7 +206,7 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
         return f"error of the resolution: {'not measured' if error is None else f'+- {error:.2g} m/s'}; {told}"
-    return "the band does not include the error of the resolution (measure it with error = true under [resolution])"
+    return "the error (+-) does not include that of the resolution: to measure it, set resolution.error = true"
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:

@@ -171,11 +171,9 @@ def _assumed(job: Job) -> list[str]:
     if any(isinstance(each.sizes, tuple) and len(each.sizes) == 2 for each in job.data.powders):
         texts.append("5 % of the powder's mass below and 5 % above the sieves, log-normal between them")
     angle, has_ceramic = math.degrees(track.angle), any(powder.metal.is_ceramic for powder in job.powders.values())
-    oblique = (
-        f"gun at {angle:.3g} degrees: bonds are those of the oblique impact; in the formula the normal velocity counts"
-    )
-    blend = "after the first layer each metal hits its own; a coating has of each metal what sticks by the formula"
-    ceramic = "a ceramic makes no bond: by the formula nothing of it stays, in a coating what embeds and does not break"
+    oblique = f"gun at {angle:.3g} degrees: bonds are those of the oblique impact; the formula uses the normal velocity"
+    blend = "after the first layer each metal hits the same metal; a coating has the share of each that sticks by the formula"
+    ceramic = "a ceramic makes no bond: by the formula none stays; in a coating, particles that embed unbroken stay"
     return [
         *texts, *job.flow.notes, oblique if angle else "particles fall normal to the surface",
         "bonds are those of spheres on a flat and thick base of one metal",

@@ -17,7 +17,7 @@ from .trust import mark
 BAND = 0.2  # relative uncertainty of the critical velocity by the formula, as in `coldspray window`
 AGREE = 0.5  # share of the mass: two values on different sides of it disagree
 FLOWN, CRITICAL = "velocity at impact", "critical velocity"
-RESOLUTION, STRENGTH, CHANCE = "resolution of the impacts", "strength of the powder", "chance of the coating"
+RESOLUTION, STRENGTH, CHANCE = "resolution of the impacts", "strength of the powder", "random particles of the coating"
 NOT_IN = (
     RESOLUTION, STRENGTH, CHANCE, "oxide film (its strength is known within a factor of two)", "friction", "gas and drag",
     "resolution of the coatings", "shape of the powder",
@@ -30,8 +30,8 @@ EMBEDDED, DEPOSITED = "Share of the powder that embeds", "Share of the mass of t
 # by "formula" and by "computed": mass fraction of each powder that stays; None: that of a powder is not known
 Shares = Mapping[str, Mapping[str, Range] | None]
 NEEDS = (
-    "By bonds no size sticks: a first layer then needs what an impact on a clean flat surface lacks, such as roughness, further hits on"
-    " the same place, or a thinner oxide film."
+    "By bonds no size sticks. A first layer then needs more than impacts on a clean flat surface: roughness, several hits on the same"
+    " place, or a thinner oxide film."
 )
 COATING = "Porosity", "Roughness Sa", "Residual stress in the plane"
 
@@ -218,7 +218,7 @@ def errors_in(bonds: Found, coating: Coating) -> dict[str, str]:
     sets, seeds = dict.fromkeys(name for each in bonds.values() for name in each.sets), len(coating.measures)
     known = (
         ("formula", True, f"by the formula: ± {BAND:.0%} of the critical velocity"),
-        ("bracket", bonds, "by bonds: the bracket of the search"),
+        ("bracket", bonds, "by bonds: the last interval of the search"),
         (RESOLUTION, any(each.error is not None for each in bonds.values()), f"the {RESOLUTION}"),
         (STRENGTH, sets, f"the {STRENGTH} ({', '.join(sets)})"),
         (CHANCE, seeds > 1, f"for the coating: standard error of the mean of {seeds} coatings of different particles"),
@@ -236,6 +236,6 @@ def record(job: Job, parts: Mapping[str, Any], bonds: Found, coating: Coating) -
     return {
         "job": job.name, "powders": shares, "answer": answer(lines), "numbers": [asdict(line) for line in lines],
         "errors_in": list(texts.values()), "errors_not_in": [name for name in NOT_IN if name not in texts], **parts,
-        "more_time": f"more time would buy: {more}" if left else "more time changes nothing: a job computes no more than this",
+        "more_time": f"more time would add: {more}" if left else "more time changes nothing: a job computes no more than this",
         "failed": parts["failed"] | dict(coating.failed), "bonds": [asdict(each) for each in bonds.values()],
     }  # fmt: skip

@@ -109,7 +109,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         model.fit(standard, y)
     lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
     short = [measure(name).short for name, n, (low, _) in zip(names, lengths, bounds, strict=True) if n <= 1.01 * low]
-    end = "over less than the distance of two points: more points are needed"
+    end = "between neighbouring points: compute more points"
     told = tuple(f"{measure(quantity).label} changes along {name} {end}" for name in short)
     inverse, unit = np.linalg.inv(model.kernel_(model.X_train_)), float(y.std()) or 1.0
     off = inverse @ model.y_train_ / np.diag(inverse)
@@ -254,7 +254,7 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
                 best = max(best, (abs(known[b] - known[a]), place))
         why = ""
     if not best[1]:
-        return NextPoint({}, "it needs two neighbours with results")
+        return NextPoint({}, "no two neighbouring points have results")
     return NextPoint(dict(zip(axes, best[1], strict=True)), why)
 
 
@@ -273,8 +273,8 @@ def best_point(
         pairs = [(a[-1][names[0]], b[0][names[0]]) for a, b in itertools.pairwise(sides(used, names[0]))]
         ends = [" and ".join(shown(names[0], end, named=False) for end in pair) for pair in pairs[:3]]
         problem = (
-            f"the verdict changes between {', '.join(ends)}, where a measure can jump: each side is drawn alone,"
-            f" as a curve from {FEWEST_VALUES} values on, else as straight lines"
+            f"the verdict changes between {', '.join(ends)}, and a measure can jump there: each side has its"
+            f" own curve, or straight lines with fewer than {FEWEST_VALUES} values"
         )
     fit = None if problem else interpolate(rows, quantity, names)
     return next_point(rows, quantity, fit, names), fit, problem

@@ -84,7 +84,7 @@ def run_points(
             except InterruptedRunError as error:
                 ended = {"status": "stopped", "reason": str(error)}
             except Exception as error:  # the worker itself was lost
-                ended = {"status": "stopped", "reason": f"its process was lost ({error or type(error).__name__})"}
+                ended = {"status": "stopped", "reason": f"its process ended early ({error or type(error).__name__})"}
             statuses[point] = str(ended["status"])
             left = len(points) - len(statuses)
             to_go = left * (time.monotonic() - begun) / (len(statuses) - ended_before)

@@ -39,7 +39,7 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
     gun = Gun(spot, path.angle, path.feed_rate * per_mass / path.traverse_speed, angles, efficiency)
     if not gun.efficiency_at(np.zeros(1))[0] > 0.0:
         at = f"{math.degrees(path.angle):.3g} degrees from the normal"
-        raise SceneError([f"spray.efficiency: no powder sticks at {at}, so that there is no track"], job.name)
+        raise SceneError([f"spray.efficiency: no powder sticks at {at}: change it, or spray.angle"], job.name)
     known: dict[str, Any] = {"version": __version__, "track": job.name, MIDDLE: [], WIDE: []}
     profiles = {}
     for name, lines in (("one pass", (0.0,)), ("raster", path.lines if path.passes else ())):
@@ -50,7 +50,7 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
     if path.step is not None:
         known[MIDDLE].append(waves(*profiles["raster"], path.step, float(np.mean(path.lines))))
     for step in known["one pass"]["width_m"] * np.array(OF_WIDTH):
-        tell(f"wide raster, step {1e3 * step:.3g} mm")
+        tell(f"wide raster with step {1e3 * step:.3g} mm")
         half = math.ceil(spot.reach / math.cos(path.angle) / step) + 1
         x, h = gun.spray(step * np.arange(-half, half + 1.0), CELLS // 2)
         known[WIDE].append(waves(x, h, float(step)))

@@ -100,7 +100,7 @@ def test_the_error_of_the_resolution_is_that_of_the_same_search_with_fewer_point
     assert found.velocity is not None
     wide = Bracket(found.velocity - 50.0, found.velocity + 50.0)  # of the same velocity
     assert critical.resolution_error(given, found, {100: wide}) == pytest.approx(50.0)
-    assert "error = true under [resolution]" in critical.resolution_words(given, found, {})
+    assert "set resolution.error = true" in critical.resolution_words(given, found, {})
     asked = Scene.from_text(
         scene(("Ni", 25, 500), **TINY, more=EXPOSED).replace("[resolution]", "[resolution]\nerror = true")
     )
@@ -141,7 +141,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     said = capsys.readouterr()
     assert "critical velocity" in said.out
     assert "Schmidt's formula: critical 665 m/s (Ni) and 716 m/s (SS304)" in said.out
-    assert "the band does not include the error of the resolution" in said.out
+    assert "the error (+-) does not include that of the resolution" in said.out
     rows = read_rows(out / "critical.csv")
     assert {row["verdict_by_bonds"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
     assert all((out / "runs" / f"{row['velocity_m_s']}ms" / "summary.json").is_file() for row in rows)

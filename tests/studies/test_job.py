@@ -80,7 +80,7 @@ def test_formula_and_bonds_that_disagree_stand_first(job) -> None:
     lines = numbers(job, found, Coating({}, {}))
     said = answer(lines)
     assert said[0].startswith("Formula and computed bonds disagree. Share of the powder that sticks on Al6061: 100%")
-    assert "0% by bonds. By bonds no size sticks: a first layer then needs" in said[0]
+    assert "0% by bonds. By bonds no size sticks. A first layer then needs" in said[0]
     assert len([text for text in said if "disagree" in text]) == 1
     assert {line.label: line.computed for line in lines}[
         "Critical velocity on Al6061, the first layer"
@@ -290,7 +290,7 @@ def test_a_job_keeps_its_time_where_impacts_take_three_times_the_forecast(job, t
     assert known["left_out_s"]["bonds of Cu on Cu with 40000 points, 3 impacts at each velocity"] == pytest.approx(
         1500.0
     )
-    assert known["more_time"].startswith("more time would buy: bonds of Cu on Cu with 5000 points, ")
+    assert known["more_time"].startswith("more time would add: bonds of Cu on Cu with 5000 points, ")
     assert known["more_time"].endswith("; 2 further parts")
 
 

@@ -227,7 +227,7 @@ def test_a_jump_at_the_critical_velocity_is_no_noise(tmp_path, capsys, figures) 
     assert cli.main(["map", str(tmp_path), "--show", *quantities]) == 0
     said = capsys.readouterr().out
     assert "verdicts: sticks 3, rebounds 5" in said
-    assert "the verdict changes between 560 m/s and 640 m/s, where a measure can jump" in said
+    assert "the verdict changes between 560 m/s and 640 m/s, and a measure can jump there" in said
     bracket = r"best next point: velocity 598\.7 m/s \(rebounds at velocity 560 m/s, sticks at velocity 640 m/s\)"
     assert len(re.findall(bracket, said)) == 2
     at = figures["map_Ni_restitution"].axes[0]
@@ -350,7 +350,7 @@ def test_a_length_below_the_distance_of_points_is_no_answer(tmp_path) -> None:
         row["flattening_ratio"] = 0.5 + 0.1 * (-1) ** number
     fit = interpolate(rows, "flattening_ratio")
     assert fit.warnings == (
-        "flattening above the surface changes along velocity over less than the distance of two points: more points are needed",
+        "flattening above the surface changes along velocity between neighbouring points: compute more points",
     )
     assert fit(250.0)[1] > 0.02
 

@@ -255,7 +255,7 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
     said: list[str] = []
     statuses = study_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=Losing())
     assert statuses == {"a": "done", "b": "stopped", "c": "stopped"}
-    assert sum("its process was lost (node down)" in line for line in said) == 1
+    assert sum("its process ended early (node down)" in line for line in said) == 1
 
 
 def test_the_server_of_the_slurm_jobs_ends_with_the_sweep() -> None:
