@@ -106,7 +106,7 @@ TABLE = (
         "flattening_ratio", "flattening above the surface", SHAPE, "flattening above"
         " surface", converges=True, expected=(0.0, 1.0),
         unusual=(
-            "the top is higher than the particle's diameter, as of an upright rod or a particle that has left",
+            "the top is higher than the particle's diameter: the particle stands upright or has left the target",
             "the top lies below the surface: the particle is embedded",
         ),
     ),

@@ -104,8 +104,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
             least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
             raise ColdsprayError(
-                f"--accuracy {accuracy} cannot be reached: the error of the shape with {MOST} points, the largest allowed number,"
-                f" is about {least:.2g} %; give a percentage of at least this value (docs/evidence/accuracy.md)"
+                f"--accuracy {accuracy} cannot be reached: with {MOST} points, the largest allowed number, the error of the shape"
+                f" is about {least:.2g} %. Give at least this percentage (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:

@@ -255,6 +255,6 @@ def _check(bond: Bond) -> None:
     if short.any():
         least = float(full[short].max())
         raise SolverError(
-            f"a bond's fracture energy of {float(energy[short].min()):.3g} J/m2 is less than the {least:.3g} J/m2 that its spring "
-            "stores at its strength: give more energy, 0 for a brittle bond, less strength, or a finer mesh"
+            f"[adhesion]: a bond has {float(energy[short].min()):.3g} J/m2, but its spring stores {least:.3g} J/m2 at its strength:"
+            " increase the energy, set 0 (brittle bond), reduce the strength, or use a finer preset"
         )

@@ -106,8 +106,8 @@ def side_by_side(
         except BrokenExecutor as error:
             which = f"impacts {begun[0][0].i + 1} to {begun[-1][0].i + 1}" if begun else "impacts"
             raise ColdsprayError(
-                f"a process that computed one of the {which} was ended from outside, perhaps because memory ran out. The results so"
-                f" far are stored: continue with coldspray resume {folder.parent}, with fewer --jobs if memory is short"
+                f"a process that computed {which} was killed, perhaps because memory ran out. The results so far are"
+                f" stored: continue with coldspray resume {folder.parent}, with fewer --jobs if memory is short"
             ) from error
         except BaseException:
             with contextlib.suppress(OSError):

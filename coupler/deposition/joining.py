@@ -47,7 +47,7 @@ def join(
         "rebounded": record["rebounded"] is True,
     }  # fmt: skip
     if report["rebounded"]:
-        progress.log(f"particle {i + 1} leaves: {record['verdict_rests_on']}")
+        progress.log(f"particle {i + 1} leaves the target: {record['verdict_rests_on']}")
         progress.stage("bringing the target to rest")
         new = impact.bodies.renumbered(place)
         return new, report | {"bodies": 0, "detached": [], **_settled(plan, i, impact, kinetic_0, new)}
@@ -56,8 +56,8 @@ def join(
         new, joined = _with_splat(plan, i, impact, place)
     except SplatError as problem:
         raise SolverError(
-            f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (keys of the scene: splat.method,"
-            " resolution.element_size, resolution.spacing)"
+            f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (or change splat.method,"
+            " resolution.element_size or resolution.spacing)"
         ) from problem
     meshing = clock.perf_counter() - started
     report |= {**joined, "meshing_s": meshing, "detached": [], "before": means_of(new, new.count - 1)}
@@ -67,8 +67,8 @@ def join(
     report |= _settled(plan, i, impact, kinetic_0, new)
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
-            f"after impact {i + 1} the bodies are not completely in equilibrium: up to {report['left_J'] / kinetic_0:.0e} of"
-            f" its kinetic energy can still be released; the limit is {RELAXED:.0e}"
+            f"after impact {i + 1} the bodies are not in equilibrium: they can release up to {report['left_J'] / kinetic_0:.0e} of"
+            f" the kinetic energy of the impact; the limit is {RELAXED:.0e}"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
     report |= {"after": means_of(new, new.count - 1), "overlap_m": float(deep.max())}

@@ -134,7 +134,7 @@ def resume(
         )
     if until is not None and not (result.finished and checkpoint.stored(folder)):
         begun = "is not finished: first resume it without --until"
-        why = "has no checkpoint, so that --until cannot continue it" if result.finished else begun
+        why = "has no checkpoint: compute the scene again with a larger end.time" if result.finished else begun
         raise CheckpointError(f"{folder} {why}")
     companions = Companions(decided, folder, knobs, _alone) if error else None
     return _complete(deposit(decided, folder, options), companions, options)

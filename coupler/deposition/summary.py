@@ -20,10 +20,10 @@ FRAGMENTS = 0.01  # share of the mass of a particle: a run warns if more is lost
 
 # Limits of numerical losses: key in the record of an impact, limit, warning
 LIMITS = (
-    ("numerical_dissipation", DISSIPATION_LIMIT, "viscosity and hourglass control took {share:.0%} of the kinetic energy, more than"
-     " {limit:.0%}: besides the metal's strength, these numerical terms shape the splat; try a finer preset"),
-    ("dissipation_of_plastic", PLASTIC_SHARE_LIMIT, "in the particle viscosity and hourglass control took {share:.0%} of the plastic"
-     " work, more than {limit:.0%}: plastic strains are too low, try a finer preset"),
+    ("numerical_dissipation", DISSIPATION_LIMIT, "numerical viscosity and hourglass control took {share:.0%} of the kinetic energy,"
+     " more than {limit:.0%}: they change the shape of the splat; try a finer preset"),
+    ("dissipation_of_plastic", PLASTIC_SHARE_LIMIT, "in the particle, numerical viscosity and hourglass control took {share:.0%} of the"
+     " plastic work, more than {limit:.0%}: plastic strains are too low; try a finer preset"),
 )  # fmt: skip
 
 
@@ -110,16 +110,13 @@ def _efficiency(impacts: Sequence[Values]) -> Values:
 def unsettled(report: Values) -> list[str]:
     """Warnings of a report (of a joining with its pause, or the closing stage) without equilibrium or ambient temperature."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
-        return [
-            f"after the closing stage the temperatures of the bodies differ by {off:.0f} K from the ambient"
-            f" temperature, because plastic work during the cooling heats them"
-        ]
+        return [f"the bodies cool only to within {off:.0f} K of ambient, because plastic work heats them"]
     pause = report.get("cooling", {})
     steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]
     steps += [pause.get(name, 0) for name in ("balance_steps", "then_settle_steps")]
     if max(steps) < RELAX_STEPS:
         return []
-    when, then = "in the closing stage", "the stresses are not exactly residual stresses"
+    when, then = "after cooling to ambient", "the stresses are not exactly residual stresses"
     if "impact" in report:
         when, then = f"after impact {report['impact']}", "the pauses that follow reduce the imbalance"
     return [f"{when} the bodies have not reached equilibrium in {RELAX_STEPS} steps: {then}"]

@@ -89,7 +89,7 @@ def latest(
         except CheckpointError as error:
             damaged.append(str(error))
             if log is not None:
-                log(f"{error}; the checkpoint before it is tried")
+                log(f"{error}; the previous checkpoint is tried")
     if damaged:
         raise CheckpointError(f"no checkpoint in {directory} can be read: start again with coldspray run --force")
     return None

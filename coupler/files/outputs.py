@@ -89,7 +89,7 @@ def check_folder(folder: Path) -> None:
     except OSError as error:
         raise StoreError(f"cannot write to the folder {folder}: {error.strerror}") from None
     if not stat.S_ISDIR(mode):
-        raise StoreError(f"cannot write to the folder {folder}: it is not a folder")
+        raise StoreError(f"cannot write to {folder}: it is not a folder")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise StoreError(f"cannot write to the folder {folder}: no permission, or a read-only disk")
 

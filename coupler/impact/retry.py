@@ -38,7 +38,7 @@ class Retry:
     numerics: dict[str, float]
 
     def __str__(self) -> str:
-        return f"retried at {self.time_s * 1e9:.2f} ns: {self.reason}; the impact is computed again from its start with {self.remedy}"
+        return f"impact {self.impact} failed at {self.time_s * 1e9:.2f} ns: {self.reason}; it starts again with {self.remedy}"
 
 
 def next_retry(before: list[Retry], asked: Mapping[str, float], error: SolverError, impact: int, time: float) -> Retry:

@@ -88,7 +88,7 @@ def summarise(
 def _broken(recorder: Recorder) -> str:
     """Why a ceramic particle is broken; "" for a whole one, for a metal, and for a ceramic core in a shell of metal."""
     text = _cracked(recorder) if recorder.impact_plan.brittle == 0 else ""
-    return text and f"{text}: it is computed on as if whole, and counts as not deposited"
+    return text and f"{text}: it counts as broken and not deposited, but is computed as whole"
 
 
 def _cracked(recorder: Recorder) -> str:
@@ -145,17 +145,17 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
         share = share_inside_itself(impact.folding.surface, impact.particle.x)
         if share > INSIDE_ITSELF:
             beyond.append(
-                f"impact {number}: {share:.1%} of the particle's points lie inside another part of it, where shape and strain are"
-                " wrong: try a finer preset"
+                f"impact {number}: {share:.1%} of the particle's points lie inside another part of the particle; shape and strain"
+                " are wrong there: try a finer preset"
             )
     if impact_plan.brittle == 1 and (text := _cracked(recorder)):
         core = impact_plan.materials[1].name
-        beyond.append(f"impact {number}: {text} in the core of {core}: it cracks, and is computed as if whole")
+        beyond.append(f"impact {number}: {text} in the core of {core}: it cracks, but is computed as whole")
     if (share := recorder.seen.base_tension) > 1.0:
         names = ", ".join(ceramic.name for ceramic in plan.target.ceramics)
         beyond.append(
-            f"impact {number}: in the target the tensile stress reached {share:.2g} times the limit of {names}: it cracks, and is"
-            " computed as if whole"
+            f"impact {number}: in the target the tensile stress reached {share:.2g} times the limit of {names}: it cracks, but is"
+            " computed as whole"
         )
     if recorder.seen.over_rim:
         beyond.append(

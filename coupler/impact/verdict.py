@@ -84,9 +84,7 @@ def judge(
             f"it is embedded in {base}: its centre lies {sunk * 1e6:.3g} um below the surface, and it does not move off"
         )
         return Verdict(EMBEDDED, words, BY_MOTION, rebounded=False)
-    return _unheld(
-        f"no bond of metals forms on {base}, which can erode: the run does not show erosion", BY_MOTION, mass, upwards
-    )
+    return _unheld(f"no bond of metals forms on {base}, whose erosion is not modelled", BY_MOTION, mass, upwards)
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
@@ -124,9 +122,9 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
         return Verdict(UNDECIDED, few, BY_BONDS)
     resistance, energy = bonds.resistance, 0.5 * mass * upwards**2 + bonds.bond.stored
     if math.isinf(resistance):
-        unbreakable = f"{whole} of {len(bonds.bond)} bonds hold, which do not break"
+        unbreakable = f"{whole} of {len(bonds.bond)} bonds hold, and they cannot break"
         return Verdict(STICKS, unbreakable, BY_BONDS, rebounded=False)
-    words = f"bonds can absorb {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to break them"
+    words = f"bonds can absorb {resistance * 1e9:.3g} nJ; {energy * 1e9:.3g} nJ of energy can break them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
     spare = resistance - energy

@@ -39,8 +39,8 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
     """
     if material.is_ceramic:
         raise ColdsprayError(
-            f"{material.name} is a ceramic: it makes no metallic bond, so that it has no critical velocity and no window of its own;"
-            " spray it in a blend with a metal, by [[powder]] of a job or [[coating.powder]] of a scene"
+            f"{material.name} is a ceramic: it makes no metallic bond and has no critical velocity;"
+            " spray it in a blend with a metal: [[powder]] of a job, or [[coating.powder]] of a scene"
         )
     if material.sigma_TS is None:
         raise ColdsprayError(
@@ -243,7 +243,7 @@ class Adhesion:
             if self.criterion == "exposure":
                 if value is not None:
                     problems.append(
-                        f'{name} has no effect with criterion = "exposure": it depends on metal and oxide film'
+                        f'{name} has no effect with criterion = "exposure", which uses the oxide films: remove it'
                     )
             elif self.kind == "cohesive" and value is None and name in ("strength", "energy"):
                 problems.append(f'{name} is missing: it is needed with kind = "cohesive"')
@@ -254,7 +254,7 @@ class Adhesion:
         if self.criterion in ("plastic_strain", "pressure") and self.threshold is None:
             problems.append(f'threshold is missing: it is needed with criterion = "{self.criterion}"')
         if self.criterion == "exposure" and self.kind == "tied":
-            problems.append('criterion = "exposure" needs kind = "cohesive": bonds by exposure have a strength')
+            problems.append('criterion = "exposure" needs kind = "cohesive": tied bonds have no strength')
         if self.threshold is not None and self.criterion in ("all", "exposure"):
             problems.append(
                 f'threshold has no effect with criterion = "{self.criterion}": leave it out, or choose another criterion'
@@ -264,7 +264,7 @@ class Adhesion:
         metals = [frozenset(pair.metals) for pair in self.pairs]
         if self.pairs and (self.kind != "cohesive" or self.criterion == "exposure"):
             without = f'kind = "{self.kind}"' if self.kind != "cohesive" else 'criterion = "exposure"'
-            problems.append(f"pair has no effect with {without}: leave it out, or choose another")
+            problems.append(f"pair has no effect with {without}: remove one of them")
         if len(set(metals)) < len(metals):
             problems.append("pair: the same two metals occur twice; remove one of the tables")
         for pair in self.pairs if not problems else ():
@@ -335,7 +335,7 @@ class Adhesion:
             + (f"{reached:g} of " if reached != 1.0 else "")
             + "the critical one",
         }
-        own = "".join(f"; {' on '.join(pair.metals)} by a law of their own" for pair in self.pairs)
+        own = "".join(f"; {' on '.join(pair.metals)} by their own law" for pair in self.pairs)
         return f"{text}, {where[self.criterion]}{own}"
 
     def law(self) -> dict[str, float]:

@@ -177,8 +177,8 @@ class Material:
             unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
             annealed, hardest = reached(low) / scale, reached(high) / scale
             raise ValueError(
-                f"is outside {annealed:.4g} to {hardest:.4g} {unit}: this is the range from zero plastic strain to a plastic strain of"
-                f" {_HARDEST:g}, by the strength law of {self.name}, {self.strength.label}"
+                f"is outside {annealed:.4g} to {hardest:.4g} {unit}, the range of {self.name} ({self.strength.label}) at plastic"
+                f" strains of 0 to {_HARDEST:g}"
             )
         for _ in range(60):
             middle = 0.5 * (low + high)

@@ -245,7 +245,7 @@ def _layers(d: Derived) -> Iterator[Problem]:
             yield _wrong(f"substrate.layer[{k}].thickness", layer.thickness, "um", text, "resolution.element_size")
     thick = sum(layer.thickness for layer in body.layer)
     if body.layer and body.height - thick < size:
-        text = f"its layers take {_um(thick)}: at least an element, {_um(size)}, is needed below them"
+        text = f"its layers are {_um(thick)} thick, and an element of {_um(size)} must fit below: increase it"
         yield _wrong("substrate.height", body.height, "um", text, "substrate.layer")
     shaped = [name for name in ("roughness", "groove", "step", "slope", "height_map") if dict(body)[name]]
     if body.layer and shaped:
@@ -364,7 +364,7 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
         if energy < least:
             text = (
                 f"too small: the springs of a bond store {least:.3g} J/m2 at its strength of {text_of(strength, 'MPa')}:"
-                " give more energy, or 0 (brittle bond), less strength, or a finer preset"
+                " increase it, set 0 (brittle bond), reduce the strength, or use a finer preset"
             )
             looked = f"adhesion.{prefix}strength", "resolution.spacing", "preset"
             yield _wrong(f"adhesion.{prefix}energy", energy, "J/m2", text, *looked)

@@ -60,8 +60,8 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         return "\n".join([*lines, *notes])
     lines += [
         "  retry      after a failure: again from its start with half the time step, then a quarter",
-        f"  two ranks  mpiexec -n 2 coldspray run ...: target and contact cost {expected.target_load:.2g} times"
-        f" as much as the particle",
+        f"  two ranks  mpiexec -n 2 coldspray run ...: target and contact take {expected.target_load:.2g} times"
+        f" as long as the particle",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),

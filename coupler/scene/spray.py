@@ -64,7 +64,7 @@ class GunPath(Track):
     @classmethod
     def _of_lines(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("passes", 1) is None:
-            raise ValueError("needs passes, the number of lines")
+            raise ValueError("needs the key passes (number of lines)")
         return value
 
     @property

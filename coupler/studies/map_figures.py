@@ -91,7 +91,7 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
         told = f"{middle} {m.unit}".rstrip()
         remarks.append(f"  error of the resolution: {told} median, {most} largest")
     if fit is not None and len(axes) > 1 and quantity not in FORMULAS and maps.brackets(done, axes):
-        remarks.append("  the verdict changes between points: the surface is smooth there, but the measure can jump")
+        remarks.append("  the verdict changes between points: the drawn surface is smooth, but the measure can jump")
     if point.at:
         remarks.append(f"  best next point: {point.words}; compute it with --refine 1")
     elif quantity in FORMULAS:

@@ -90,7 +90,7 @@ def settle(
     released = _run_for(bodies, release_time)
     if not released <= kinetic_0:
         raise SolverError(
-            f"after an equilibrium the bodies move with {released:.3g} J, the impacts before had {kinetic_0:.3g} J: the time step is"
+            f"bodies at rest gained {released:.3g} J, more than the {kinetic_0:.3g} J of the impact: the time step is"
             " not stable; try another [splat] method or a finer preset"
         )
     t.rest()

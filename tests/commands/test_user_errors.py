@@ -103,7 +103,7 @@ def test_a_band_of_efficiency_holds_the_efficiency() -> None:
 def test_more_time_needs_a_finished_run_with_a_checkpoint(shared_run: SharedRuns, tmp_path: Path) -> None:
     copy = shutil.copytree(shared_run(scenes.SHORT).directory, tmp_path / "run")
     checkpoint.clear(copy)
-    with pytest.raises(CheckpointError, match="has no checkpoint, so that --until cannot continue it"):
+    with pytest.raises(CheckpointError, match="has no checkpoint: compute the scene again"):
         resume(copy, until=20e-9, quiet=True)
     (copy / "summary.json").unlink()
     with pytest.raises(CheckpointError, match="is not finished: first resume it without --until"):

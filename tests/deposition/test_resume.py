@@ -207,7 +207,7 @@ def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
         assert found is not None
         assert found.parts[0].n == 2, damage
     assert len(lines) == 4
-    assert all("damaged" in line and "checkpoint before" in line for line in lines)
+    assert all("damaged" in line and "previous checkpoint" in line for line in lines)
     checkpoint.stored(tmp_path)[0][1].write_bytes(b"nonsense")
     with pytest.raises(CheckpointError, match=r"no checkpoint .* can be read"):
         checkpoint.latest(tmp_path, Kept, about, lines.append)

@@ -138,9 +138,7 @@ def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monke
             return future
 
     monkeypatch.setattr(deposition_batches, "executor", lambda *arguments: Ended())
-    with pytest.raises(
-        ColdsprayError, match=f"impacts 1 to 2 was ended from outside.*coldspray resume {tmp_path / 'out'}"
-    ):
+    with pytest.raises(ColdsprayError, match=f"impacts 1 to 2 was killed.*coldspray resume {tmp_path / 'out'}"):
         run(Scene.from_text(scenes.SIDE, "x"), tmp_path / "out", quiet=True, jobs=2)
     assert checkpoint.stored(tmp_path / "out")
 

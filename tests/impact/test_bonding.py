@@ -204,7 +204,7 @@ def test_two_metals_bond_by_the_law_of_their_pair(runs: dict[str, Result], tmp_p
     paired = run(Scene.from_text(ONE + STRONG + pair, "paired"), tmp_path / "paired").values
     for name in ("verdict", "bonded_area_m2", "velocity_z_m_s", "energy_drift"):
         assert paired[name] == runs["weak"].values[name]
-    assert paired["verdict_criterion"].endswith("; SS304 on Ni by a law of their own")
+    assert paired["verdict_criterion"].endswith("; SS304 on Ni by their own law")
 
 
 def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
     assert law.in_impact
     assert law.words == "cohesive, by exposure and pressure, with the oxide films of the metals"
     for change, says in (
-        ({"strength": "300 MPa"}, "depends on metal and oxide film"), ({"kind": "tied"}, "needs kind"),
+        ({"strength": "300 MPa"}, "uses the oxide films: remove it"), ({"kind": "tied"}, "needs kind"),
         ({"threshold": 0.5}, "no effect"),
         ({"pair": [{"metals": ["Ni", "Ni"]}]}, "pair has no effect"),
     ):  # fmt: skip

@@ -115,11 +115,11 @@ def test_cooling_needs_a_pause_and_adhesion_is_the_same_for_one_and_for_several(
 def test_what_many_impacts_share_is_said_once() -> None:
     texts = [
         "note", "impact 1: rates went to 1.5e+08 1/s", "impact 2: rates went to 2.1e+09 1/s", "impact 2: over the rim",
-        "impact 3: rates went to 9e+07 1/s", "note", "retried at 3.0 ns: a", "retried at 4.0 ns: a",
+        "impact 3: rates went to 9e+07 1/s", "note", "impact 3 failed at 3 ns: a", "impact 3 failed at 4 ns: a",
     ]  # fmt: skip
     assert merged(texts) == [
         "note", "impact 2: rates went to 2.1e+09 1/s (and less in 2 other impacts)", "impact 2: over the rim",
-        "retried at 3.0 ns: a", "retried at 4.0 ns: a",
+        "impact 3 failed at 3 ns: a", "impact 3 failed at 4 ns: a",
     ]  # fmt: skip
 
 

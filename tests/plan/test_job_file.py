@@ -33,7 +33,7 @@ def job_of(folder: Path, text: str = TEXT) -> Job:
         ('"D42PBI"', '"D42"', 'gas.nozzle = "D42"'),
         ('spot = "6 mm"', 'efficiency = 0.5', "spray.efficiency: unknown key"),
         ('spot = "6 mm"', 'angle = "20"', 'spray.angle = "20" has no unit'),
-        ('spot = "6 mm"', 'step = "2 mm"', 'spray.step = "2 mm" needs passes, the number of lines'),
+        ('spot = "6 mm"', 'step = "2 mm"', 'spray.step = "2 mm" needs the key passes (number of lines)'),
         ('"30 min"', "30", "within = 30 needs a time with its unit"),
         ("[powder]", "[powder]\nshare = 0.5", "powder needs values of powder.share that add up to 1: these add up to 0.5"),
         ("[powder]", '[powder]\nvelocity = "600 m/s"', "powder.velocity: unknown key; known: material, sizes, shapes"),

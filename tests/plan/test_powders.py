@@ -196,7 +196,7 @@ def test_a_raster_sends_its_particles_pass_by_pass_at_the_angle_of_the_gun() -> 
     ("old", "new", "message"),
     [
         ('step = "1.5 mm"', 'step = "0 mm"', 'spray.step = "0 mm" is outside 0.001 mm to 100 mm'),
-        ("passes = 3", "", 'spray.step = "1.5 mm" needs passes, the number of lines'),
+        ("passes = 3", "", 'spray.step = "1.5 mm" needs the key passes (number of lines)'),
         ('step = "1.5 mm"', 'first = "20 mm"', "spray.first: the nearest line is 18.8 mm from the coated area"),
         ('length = "60 mm"', 'length = "20 mm"', "spray.length = 20 mm: the spot does not leave the coated area"),
         ('length = "60 mm"', 'length = "9 m"', "spray.length = 9000 mm: the gun returns after 30"),

@@ -63,7 +63,7 @@ def test_accuracy_chooses_the_coarsest_that_will_do():
     assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * refinement.points_for(asked / 100)
     with pytest.raises(
         ColdsprayError,
-        match=r"--accuracy 0\.01% cannot be reached: the error of the shape with 64000 points",
+        match=r"--accuracy 0\.01% cannot be reached: with 64000 points",
     ):
         command.chosen(scene_with(), None, "0.01%")
 

@@ -91,9 +91,9 @@ def test_heat_flows_between_layers_as_between_half_spaces() -> None:
     ("before", "after", "says"),
     [
         ('"15 um"', '"2 um"', 'substrate.layer[1].thickness = "2 um": thinner than an element'),
-        ('"15 um"', '"44 um"', 'substrate.height = "45 um": its layers take 44 um'),
+        ('"15 um"', '"44 um"', 'substrate.height = "45 um": its layers are 44 um thick'),
         ('"Al"', '"Alu"', 'substrate.layer[1].material = "Alu": unknown material'),
-        ('sides = "free"', 'sides = "free"\nroughness = "1 um"', "substrate.roughness: layers are flat"),
+        ('sides = "free"', 'sides = "free"\nroughness = "1 um"', "substrate.roughness: layers need a flat surface"),
     ],
 )
 def test_layers_that_cannot_be_meshed_are_refused_by_their_key(before: str, after: str, says: str) -> None:

@@ -91,9 +91,9 @@ def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> N
     assert made["reason"] == "made to fail"
     assert made["remedy"] == REMEDIES[0].words
     assert made["dt_factor"] == 0.5
-    said = [line for line in log.lines if "retried" in line]
+    said = [line for line in log.lines if "starts again" in line]
     assert said == [
-        f"retried at {made['time_s'] * 1e9:.2f} ns: made to fail; the impact is computed again from its start with {REMEDIES[0].words}"
+        f"impact 1 failed at {made['time_s'] * 1e9:.2f} ns: made to fail; it starts again with {REMEDIES[0].words}"
     ]
     assert said[0] in result.warnings
     again = next(i for i in range(1, len(trouble.steps)) if trouble.times_seen[i] < trouble.times_seen[i - 1])
@@ -118,7 +118,7 @@ def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_pat
 
     with pytest.raises(SolverError, match="made to fail"):
         run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe, progress=log)
-    assert sum("retried" in line for line in log.lines) == len(REMEDIES) == 2
+    assert sum("starts again" in line for line in log.lines) == len(REMEDIES) == 2
     assert (seen[0].Q1, seen[0].hourglass) == (0.06, 1.0)
     assert (seen[-1].Q1, seen[-1].hourglass) == (0.2, 3.0)
     assert not (tmp_path / "out" / "summary.json").exists()
