@@ -172,7 +172,7 @@ def _answer(seen: Look, name: str) -> None:
     if seen.classes:
         table = as_csv(seen.classes)
         save = ui.button("Save csv", icon="download", on_click=lambda: ui.download.content(table, "window.csv"))
-        save.props("flat dense").tooltip("a row for each size class; to save a picture: the camera above it")
+        save.props("flat dense").tooltip("saves a row for each size class; the camera icon saves the picture")
     if seen.more:
         with ui.expansion("Plan of the computation (coldspray check)", value=not seen.drawn).classes("w-full"):
             ui.label(seen.more).classes("whitespace-pre overflow-x-auto font-mono text-xs w-full")

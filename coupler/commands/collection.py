@@ -116,6 +116,6 @@ def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object],
     rho = catalogue[name].rho
     near = min((materials.material(other) for other in materials.names()), key=lambda metal: abs(metal.rho - rho))
     numbers = {"cp": f"{near.cp_at(300.0):g} J/(kg K)", "k": f"{near.k_at(300.0):g} W/(m K)"}
-    remark = f"{' and '.join(lacks)} of {near.name}, the metal of the library nearest in density"
+    remark = f"{' and '.join(lacks)} from {near.name}, the metal of the library nearest in density"
     note = "; ".join(str(text) for text in (values.get("note"), remark) if text)
     return {**values, **{key: numbers[key] for key in lacks}, "note": note}, remark

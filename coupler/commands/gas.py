@@ -48,7 +48,7 @@ def add_conditions(option: Option) -> None:
     option("--material", metavar="NAME", default="Ni", help="metal of the particle (default: Ni)")
     option("--standoff", metavar="L", default="30 mm", help="distance between nozzle and target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
-    option("--powder-temperature", metavar="T", default="20 degC", help="powder in the feeder (default: 20 degC)")
+    option("--powder-temperature", metavar="T", default="20 degC", help="temperature in the feeder (default: 20 degC)")
     option("--drag", default="henderson", metavar="LAW", help="drag law: henderson (default) or carlson-hoglund")
     option("--bow-shock", action="store_true", help="include a normal shock before the target")
 

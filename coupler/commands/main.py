@@ -153,7 +153,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "print the plan and the cost of a scene without computing it"
     option = options.add_command(commands, "check", _check, text)
     options.add_scene(option)
-    text = "print for each effect the number that decides it, and the change without the effect"
+    text = "print for each effect why it is on or off, and what changes without it"
     option("-v", "--verbose", action="store_true", help=text)
     option("--recalibrate", action="store_true", help="measure the speed of this machine again")
     option = options.add_command(commands, "run", _run, "compute a scene")
@@ -173,7 +173,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
     option("--out", type=options.path, metavar="FILE", help=text)
     option("--field", default="T", help="field to draw: T, eps_p or von_mises (default: T)")
-    option("--fps", type=float, metavar="N", help="pictures per second (default: for an animation of 4 seconds)")
+    option("--fps", type=float, metavar="N", help="pictures per second (default: the animation lasts 4 seconds)")
     options.add_force(option)
     text = "write the fields as .vtu and .pvd files, for tools that do not read time steps of VTKHDF"
     option = options.add_command(commands, "export", _export, text)
@@ -189,8 +189,8 @@ def _parser() -> argparse.ArgumentParser:
     option = options.add_command(commands, "resume", _resume, text)
     option("folder", type=options.path, metavar="DIR", help="folder of the run")
     option("--until", type=options.quantity("--until", "time"), metavar="TIME",
-           help='time until which the last impact continues, such as "300 ns" (default: the same time again, for a run that ended at'
-           " its time limit; a run that met its end criterion without a verdict needs --until)")  # fmt: skip
+           help='new end time of the last impact, such as "300 ns" (default: twice its time limit; required if it met its end'
+           " criterion without a verdict)")  # fmt: skip
     _add_running(option)
     studies = accuracy, sweep, maps, critical
     for command in (new, job, app, watch, materials, gas, window, track, mesh, coating, properties, *studies):
@@ -207,9 +207,9 @@ def _add_running(option: Option) -> None:
     option("-v", "--verbose", action="store_true", help=text)
     option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
-    options.add_jobs(option, "simultaneous impacts in a batch, which share the threads; `check` prints the batches")
+    options.add_jobs(option, "number of impacts computed at the same time, on shared threads; `check` prints them")
     option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
-           help="wall time between two checkpoints (default: 60)")  # fmt: skip
+           help="wall time between two checkpoints, s (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="in a scene with several impacts, leave out an impact that fails")
     option("--no-error", action="store_true", help="compute no coarser runs, so that the error is not measured")
 

@@ -129,7 +129,7 @@ def of_file(
         values = np.asarray(values)
         values = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
         if known is None or values.shape != (len(x), *shapes[known]):
-            notes.append(f"field {name!r} is left out: it is not one of {', '.join(shapes)}, or has another shape")
+            notes.append(f"field {name!r} is left out: it is not one of {', '.join(shapes)}, or its size is wrong")
         elif (in_si := _in_si(known, values.astype(float), points.units.get(name, ""))) is None:
             notes.append(f"field {name!r} is left out: its unit {points.units[name]!r} is unknown")
         else:
@@ -165,10 +165,10 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
         return given or 1.0
     try:
         named = parse(f"1 {of_file}", "length")
-    except UnitError as problem:
+    except UnitError:
         if given is None:
             raise SplatError(
-                f"the unit of x, y and z, {of_file!r:.20}, {problem}. Correct it, or give --unit"
+                f"the unit of x, y and z, {of_file!r:.20}, is not a known unit of length: correct it, or give --unit"
             ) from None
         return given
     if given is not None and given != named:
@@ -279,5 +279,5 @@ def _show(cloud: "Cloud", splat: "Splat", notes: list[str]) -> None:
             table.add_row(name, text)
     console = Console()
     console.print(table)
-    for note in [*(f"tried before: {f}" for f in r["failed"]), *notes]:
+    for note in [*(f"failed before: {f}" for f in r["failed"]), *notes]:
         console.print(note, markup=False, highlight=False)

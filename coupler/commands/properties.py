@@ -36,18 +36,18 @@ def add(commands: Commands) -> None:
     option("--side", type=options.quantity("--side", "length"), metavar="L",
            help="horizontal edge length of the block (default: the square in the disc that `coating` measures)")  # fmt: skip
     option("--heights", type=options.quantity("--heights", "length"), nargs=2, metavar=("LOW", "HIGH"),
-           help="lowest and highest z of the block (default: above 99 %% of the substrate, below 90 %% of the tops)")  # fmt: skip
+           help="lowest and highest z of the block (default: above 99 %% of the substrate, below 90 %% of the surface)")  # fmt: skip
     option("--conductance", type=options.quantity("--conductance", "heat transfer"), metavar="H",
            help='thermal conductance of facets that touch without a bond, such as "5e7 W/(m2 K)" (default: 1.5e7'
            ' and 5.5e8)')  # fmt: skip
     option("--pull", action="store_true",
-           help="pull the block of the first run apart: across, at the substrate, in the plane; some minutes")  # fmt: skip
+           help="pull the block of the first run until it breaks: across, at the substrate, in the plane (minutes)")  # fmt: skip
     option("--strip", type=options.quantity("--strip", "length"), metavar="H",
-           help="thickness of a strip with the coating of the first run: its curvature and stresses, also for CalculiX")  # fmt: skip
+           help="compute a strip of this thickness with the coating of the first run: curvature, stresses, CalculiX file")  # fmt: skip
     option("--length", type=options.quantity("--length", "length"), metavar="L", default=ALMEN,
-           help="length of the strip over which its deflection counts (default: 31.75 mm, of the Almen gauge)")  # fmt: skip
+           help="length over which the strip's deflection is measured (default: 31.75 mm, as an Almen gauge)")  # fmt: skip
     option("--sprayed-at", type=options.quantity("--sprayed-at", "temperature"), metavar="T",
-           help="temperature of strip and coating while spraying: they cool from it (default: no more than in the run)")  # fmt: skip
+           help="temperature of strip and coating during spraying, before they cool (default: cooling as in the run)")  # fmt: skip
     options.add_force(option)
 
 
@@ -105,14 +105,14 @@ def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Itera
         central, *others = [p for p in pulls if p["direction"] == direction]
         ends = " to ".join(f"{1e-6 * value:.0f}" for value in sorted(p["strength_Pa"] for p in others))
         yield (
-            f"strength {words}: {1e-6 * central['strength_Pa']:.0f} MPa{f' ({ends} with thinner and thicker films)' if ends else ''} at"
-            f" {central['strain']:.2%} strain; bonds take {central['brittle']:.0%} of the work"
+            f"strength {words}: {1e-6 * central['strength_Pa']:.0f} MPa{f' ({ends} for thinner and thicker bonds)' if ends else ''} at"
+            f" {central['strain']:.2%} strain; bonds absorb {central['brittle']:.0%} of the work"
         )
     if pulls and pulls[0]["film"] is None:
-        yield "warning: bonds of this run never break: the strengths are limits of plastic flow between the pores"
+        yield "warning: bonds of this run never break: plastic flow between the pores limits the strengths"
     if strip is not None:
         yield (
-            f"strip of {1e3 * strip['thickness_m']:.3g} mm with {1e6 * strip['coating_m']:.0f} um of coating, which arrives with"
+            f"strip of {1e3 * strip['thickness_m']:.3g} mm with {1e6 * strip['coating_m']:.0f} um of coating, sprayed with"
             f" {1e-6 * strip['arriving_Pa']:+.0f} MPa: curvature {strip['deposited_1_m']:+.3g} 1/m by deposition,"
             f" {strip['misfit_1_m']:+.3g} 1/m by misfit; deflection {1e6 * strip['deflection_m']:+.1f} um over"
             f" {1e3 * strip['length_m']:.4g} mm (positive: the coated side is convex)"
@@ -123,7 +123,7 @@ def _head(name: str, of: "Properties") -> str:
     size = f"{1e6 * of.side_m:.0f} x {1e6 * of.side_m:.0f} x {1e6 * of.height_m:.0f} um"
     lines = [
         f"{name}: block of {size}, {of.splats:.0f} splats, {of.elements} elements; {of.solid:.1%} metal, {of.open_share:.0%} of"
-        f" its top open; {of.bonded:.0%} of the joints bonded; gaps that count as metal: {of.gap:.1%}",
+        f" its top open; {of.bonded:.0%} of the joints bonded; gaps counted as metal: {of.gap:.1%}",
         *(f"warning: {text}" for text in of.warnings),
     ]
     return "\n".join(lines)

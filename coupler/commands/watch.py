@@ -93,7 +93,7 @@ def state(result: "Result") -> str:
             f"no new data for {age:.0f} s: if the run was stopped, coldspray resume {result.directory} continues it"
         )
     if not len(history.get("time", ())):
-        return "\n".join([*lines, "the history has no row yet"])
+        return "\n".join([*lines, "no time step is written yet"])
     lines += [f"  {label:30} {value} {unit}" for label, value, unit in last_row(history)]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
@@ -101,6 +101,6 @@ def state(result: "Result") -> str:
     for name in _LEDGER:
         columns = [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
         parts[name] = sum(history[column][-1] for column in columns)
-    lines.append("  energy, % of the particle's at the start of the impact: " + ", ".join(
+    lines.append("  energy, % of the particle's initial kinetic energy: " + ", ".join(
         f"{name} {100.0 * value / whole:.3g}" for name, value in parts.items() if abs(value) > 1e-4 * whole))  # fmt: skip
     return "\n".join(lines)

@@ -73,9 +73,9 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
     for word, factor in zip(("least", "greatest"), spray.extremes(within), strict=True):
         if factor != 1.0:
             side = f"{abs(factor - 1.0):.0%} {'higher' if factor > 1.0 else 'lower'}"
-            lines.append(f"  {word} within {within:.0%}, critical velocity {side}: {_efficiency(spray, factor)}")
+            lines.append(f"  {word} within {within:.0%} (critical velocity {side}): {_efficiency(spray, factor)}")
     median = spray.formula[len(ratio) // 2]
-    head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
+    head = f"verdict on {median.base}" if median.base else "verdict on its own metal (other: --substrate NAME)"
     shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
     return [*lines, f"{head}: of the mass {shares}; median: {median.words(spray.velocity[len(ratio) // 2])}"]
 

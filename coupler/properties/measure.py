@@ -143,8 +143,8 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
     bottom, roof = (least, max(float(np.quantile(top, TOP)), least)) if heights is None else heights
     if bottom < least or bottom >= min(roof, top.max()):
         raise StoreError(
-            f"--heights: give two heights, the lower one above the substrate, which ends at {1e6 * least:.1f} um, and below the top of"
-            f" the coating, at {1e6 * top.max():.1f} um"
+            f"--heights: give two ascending heights; the lower must be above the substrate ({1e6 * least:.1f} um) and below the top of"
+            f" the coating ({1e6 * top.max():.1f} um)"
         )
     return np.array([-half, -half, bottom]), np.array([half, half, roof]), float((top < roof).mean())
 

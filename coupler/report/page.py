@@ -109,7 +109,7 @@ def report(
         page.section("cuts", "Cuts", _cuts(cuts, picture.with_phases(cuts[0], ranges), _named_times(summary)))
         if len(result.times(COLD)):
             section, colours = picture.cut_cold(result, at, lower.view)
-            caption = {"after the closing stage, at ambient temperature": section.time}
+            caption = {"after cooling to ambient temperature": section.time}
             page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
             lower, main = section, picture.with_phases(section, {name: colours[name] for name in ("eps_p", "in_plane")})
             page.section("properties", "Properties", parts.properties(result))

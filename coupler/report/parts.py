@@ -117,7 +117,7 @@ def each_impact(summary: Summary) -> str:
 
 
 COLD_ROWS = (
-    ("T_max_before_K", "highest temperature before the closing stage"),
+    ("T_max_before_K", "highest temperature before cooling to ambient"),
     ("ambient_K", "ambient"),
     ("overlap_m", "deepest overlap of bodies"),
 )

@@ -202,7 +202,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
     decided = [k for k, record in enumerate(records) if record.get("verdict") != UNDECIDED]
     margins = {k: abs(margin) for k in decided if isinstance(margin := records[k].get("margin_m_s"), int | float)}
     k = min(margins, key=margins.__getitem__, default=None)
-    return [] if k is None else [f"closest: particle {k + 1} {_with_reason(records[k], of_several=True)}"]
+    return [] if k is None else [f"smallest margin: particle {k + 1} {_with_reason(records[k], of_several=True)}"]
 
 
 def alerts(summary: Summary) -> list[str]:

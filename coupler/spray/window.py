@@ -88,8 +88,8 @@ def spray(
     if base is not None and (base.is_ceramic or base.is_polymer):
         kind = "ceramic" if base.is_ceramic else "polymer"
         raise ColdsprayError(
-            f"{keys[1]}: {base.name} is a {kind}: no metallic bond forms on it, so that there is no window of deposition; compute an"
-            " impact on it by coldspray run"
+            f"{keys[1]}: {base.name} is a {kind}: no metallic bond forms on it, so that there is no deposition window; compute an"
+            " impact on it with coldspray run"
         )
     return at_impact(material, base, sizes, fly)
 

@@ -47,8 +47,8 @@ def test_a_row_becomes_a_metal_of_scenes(tmp_path, capsys):
     assert (metal.rho, metal.T_m, metal.E, metal.nu) == pytest.approx((2703.0, 855.0, 70e9, 0.33))
     assert metal.flow_stress(0.2, 1.0, 298.0) == pytest.approx(324e6 + 114e6 * 0.2**0.42)
     assert metal.cp == materials.material("Al").cp
-    assert "cp and k of Al, the metal of the library nearest in density" in said
-    assert "cp and k of Al" in metal.note
+    assert "cp and k from Al, the metal of the library nearest in density" in said
+    assert "cp and k from Al" in metal.note
     assert metal.source.startswith("Lesuer (2001)")
 
 

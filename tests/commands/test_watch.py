@@ -26,7 +26,7 @@ def test_an_unfinished_run_is_shown_as_far_as_it_is(
     assert {path.name: path.stat().st_mtime_ns for path in copy.iterdir()} == before
     (copy / "history.csv").unlink()
     assert main(["watch", str(copy), "--once"]) == 0
-    assert "the history has no row yet" in capsys.readouterr().out
+    assert "no time step is written yet" in capsys.readouterr().out
     for path in copy.iterdir():
         os.utime(path, (1e9, 1e9))
     assert main(["watch", str(copy), "--once"]) == 0

@@ -89,7 +89,7 @@ def test_what_has_no_cold_coating_or_no_room_is_refused(
     assert joint.splats < 2.0
     assert {0, 1} <= set(joint.block.body)
     for heights in ((-30e-6, 6e-6), (300e-6, 400e-6)):
-        with pytest.raises(StoreError, match="the lower one above the substrate"):
+        with pytest.raises(StoreError, match="the lower must be above the substrate"):
             cold.properties(heights=heights)
     with pytest.raises(StoreError, match="smaller than an element of the coating"):
         cold.properties(side=1e-12)

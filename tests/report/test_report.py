@@ -314,7 +314,7 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
         "refused": dict.fromkeys(["restitution", "end.eps_p_max", "end.flattening_ratio"], "not at rest"),
         "restitution": None,
     }
-    doubt = "viscosity and hourglass control took 31%"
+    doubt = "numerical viscosity and hourglass control took 31%"
     with Store.create(tmp_path, "") as store:
         store.finish(summary_of(first, second, undecided="not at rest", warnings=[doubt, "rates"]))
     result = Result(tmp_path)
@@ -459,19 +459,19 @@ def test_a_hollow_particle_is_not_painted_inside(folder, tmp_path):
 
 
 def test_the_first_screen_has_verdict_measures_and_each_warning_once(tmp_path):
-    warnings = ["viscosity and hourglass control took 31%", *(f"warning {k}" for k in range(3))]
+    warnings = ["numerical viscosity and hourglass control took 31%", *(f"warning {k}" for k in range(3))]
     end = {"flattening_ratio": 0.5, "T_mean_K": 400.0, "von_mises_max_Pa": 1e9}
     record = {"verdict": "sticks", "diameter_m": 25e-6, "material": "Ni", "numerical_dissipation": 0.31, "end": end}
     record |= {"margin_m_s": 12.0}
     for number, head in (
         (1, "verdict: sticks; margin +12 m/s\n"),
-        (40, "verdict: of 40 particles 40 stick\n  closest: particle 1 sticks"),
+        (40, "verdict: of 40 particles 40 stick\n  smallest margin: particle 1 sticks"),
     ):
         with Store.create(tmp_path / str(number), "") as store:
             store.finish(summary_of(*[record] * number, warnings=warnings))
         text = screen(Result(tmp_path / str(number)))
         assert text.startswith(head)
-        assert "\ndoubtful: viscosity" in text
+        assert "\ndoubtful: numerical viscosity" in text
         assert text.count("\n") < 29
         assert all(text.count(warning) == 1 for warning in warnings)
         assert "flattening" in text

@@ -61,9 +61,9 @@ def test_a_lower_critical_velocity_deposits_less_where_particles_erode_and_the_l
     assert main(["window", *gas, "--material", "Cu", *POWDER, "--within", "20%"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (least,) = (line for line in lines if line.startswith("  least"))
-    assert "lower: 0%; 0% of the mass is below the critical velocity, 100% above the erosion" in least
+    assert "lower): 0%; 0% of the mass is below the critical velocity, 100% above the erosion" in least
     assert any(
-        line.startswith("  greatest within 20%, critical velocity") and "higher: 100%; 0%" in line for line in lines
+        line.startswith("  greatest within 20% (critical velocity") and "higher): 100%; 0%" in line for line in lines
     )
 
 
@@ -80,7 +80,7 @@ def test_the_verdict_is_that_of_the_pair_or_says_that_it_is_not(
     assert main([*gas, *POWDER, *options]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert says in last
-    assert last.startswith("verdict on " if substrate else "verdict (on another metal: --substrate NAME)")
+    assert last.startswith("verdict on " if substrate else "verdict on its own metal (other: --substrate NAME)")
     assert ("undecided" in last) == (substrate == "Al7075")
 
 
@@ -145,8 +145,8 @@ def test_the_comparison_with_in718_is_that_of_its_table_and_the_picture_marks_wh
     assert main([*options, f"--png={tmp_path / 'w.png'}"]) == 0
     said = capsys.readouterr().out
     assert "deposition efficiency 9%; 91% of the mass is below the critical velocity" in said
-    assert "higher: 0%; 100% of the mass is below the critical velocity, 0% above the erosion velocity" in said
-    assert "critical velocity 20% lower: 82%" in said
+    assert "higher): 0%; 100% of the mass is below the critical velocity, 0% above the erosion velocity" in said
+    assert "critical velocity 20% lower): 82%" in said
     rows, table = read_rows(out), read_rows(kept)
     for row, held in zip(rows, table, strict=True):
         numbers = [{key: float(text) for key, text in each.items() if key != "version"} for each in (row, held)]
