@@ -165,10 +165,10 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
         return given or 1.0
     try:
         named = parse(f"1 {of_file}", "length")
-    except UnitError:
+    except UnitError as problem:
         if given is None:
             raise SplatError(
-                f"the unit of x, y and z, {of_file!r:.20}, is not a known unit of length: correct it, or give --unit"
+                f"the unit of x, y and z, {of_file!r:.20}: {problem}. Correct it, or give --unit"
             ) from None
         return given
     if given is not None and given != named:
