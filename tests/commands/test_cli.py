@@ -91,7 +91,7 @@ def test_a_single_impact_imports_only_what_it_computes_with(tmp_path):
     (tmp_path / "scene.toml").write_text(scene(("Ni", 25, 500), spacing=3.4, element_size=6.0, end=10.0))
     unused = (
         "{'gmsh', 'open3d', 'pyvista', 'vtkmodules', 'pandas', 'sklearn', 'nicegui', 'matplotlib.pyplot', 'scipy.ndimage',"
-        " 'scipy.integrate', 'scipy.optimize', 'scipy.stats', 'coupler.app', 'coupler.properties', 'coupler.studies'}"
+        " 'scipy.integrate', 'scipy.optimize', 'scipy.stats', 'coupler.app', 'coupler.properties', 'coupler.studies.runs'}"
     )
     code = (
         "import sys; from coupler.commands.main import main; code = main(['run', 'scene.toml', '--no-error', '-q']);"

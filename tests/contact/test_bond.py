@@ -534,7 +534,7 @@ def test_numbers_of_nodes_may_change_and_sets_be_joined(pair: Blocks, rng: np.ra
 @pytest.mark.parametrize(
     ("law", "says"),
     [
-        ({"strength": N, "energy": 0.1}, "less than the"),
+        ({"strength": N, "energy": 0.1}, "its spring stores"),
         ({"strength": -1.0}, "positive strength"),
         ({"strength": N, "energy": -1.0}, "energy of zero or more"),
     ],

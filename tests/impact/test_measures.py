@@ -59,7 +59,7 @@ def test_what_flattening_may_be() -> None:
     assert "covers the wall of its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
     assert measure("flattening_ratio").refusal(1.2) is None
     assert "embedded" in (measure("flattening_ratio").remark(1.2) or "")
-    assert "rod" in (measure("flattening_ratio").remark(-0.06) or "")
+    assert "stands upright" in (measure("flattening_ratio").remark(-0.06) or "")
     assert measure("flattening_ratio").remark(0.5) is None
 
 
