@@ -105,7 +105,7 @@ def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Itera
         central, *others = [p for p in pulls if p["direction"] == direction]
         ends = " to ".join(f"{1e-6 * value:.0f}" for value in sorted(p["strength_Pa"] for p in others))
         yield (
-            f"strength {words}: {1e-6 * central['strength_Pa']:.0f} MPa{f' ({ends} for thinner and thicker bonds)' if ends else ''} at"
+            f"strength {words}: {1e-6 * central['strength_Pa']:.0f} MPa{f' ({ends} with thinner and thicker films)' if ends else ''} at"
             f" {central['strain']:.2%} strain; bonds absorb {central['brittle']:.0%} of the work"
         )
     if pulls and pulls[0]["film"] is None:
