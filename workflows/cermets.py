@@ -24,8 +24,8 @@ COATINGS = {  # scene, powder: heading
 }  # fmt: skip
 PICTURES = "cermet_cu"  # scene whose coatings the page shows
 LINES = {  # column: label, factor, digits
-    "ceramics": ("particles of ceramic", 1.0, 0), "ceramics_stay": ("of these stay", 1.0, 0), "undecided": ("undecided", 1.0, 0),
-    "fed_share": ("ceramic in the mass fed, %", 100.0, 1), "deposited_share": ("in the mass deposited, %", 100.0, 1),
+    "ceramics": ("particles of ceramic", 1.0, 0), "ceramics_stay": ("of these stay", 1.0, 0),
+    "fed_share": ("ceramic in the mass fed, %", 100.0, 1),
     "thickness_um": ("thickness, µm", 1.0, 1), "Sa_um": ("roughness Sa, µm", 1.0, 1), "porosity": ("porosity, %", 100.0, 1),
     "strain": ("plastic strain, mean", 1.0, 2), "impacts_MPa": ("stress of the impacts, MPa", 1.0, 0),
     "residual_MPa": ("residual stress, MPa", 1.0, 0), "error_MPa": ("its variation over the disc, ± MPa", 1.0, 0),

@@ -17,7 +17,7 @@ from study_table import Row, column, measurements, number, study
 
 from coupler import Scene
 from coupler.geometry.tetrahedra import volumes
-from coupler.physics.materials import entry, material
+from coupler.physics.materials import entry
 from coupler.studies import coating
 from coupler.studies.splats import Splats
 
@@ -124,13 +124,6 @@ def error_of(values: NDArray[np.float64]) -> float:
     return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
-def deposited_at(misfit: float, metal: str) -> float:
-    """Temperature (K) from which coating and magnesium cool to 300 K by a misfit strain."""
-    T = np.arange(300.0, 900.0)
-    rates = [material("AZ31B").thermal_expansion_at(t) - material(metal).thermal_expansion_at(t) for t in T]
-    return float(np.interp(-misfit, np.cumsum(rates), T))
-
-
 def lines(rows: Sequence[Row]) -> list[str]:
     """The table of the coatings, and the tests."""
 
@@ -140,16 +133,15 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
     table = []
     for c in comparisons(rows):
-        density, d_density, strain, d_strain, stress, d_stress, misfit, d_misfit = c.measured[5:]
+        density, d_density, strain, d_strain, stress, d_stress = c.measured[5:11]
         table.append([
             c.name, f"{float(c.rows[0]['impact_m_s']):.0f}, {float(c.rows[0]['impact_K']):.0f}",
             f"{stress} ± {d_stress}", told(c.rows, "stress_MPa", 0),
             ", ".join(f"{float(r['stress_MPa']):.0f}" for r in c.others) or "-",
             f"{strain} ± {d_strain}", told(c.rows, "strain", 2),
             f"{density} ± {d_density}", told(c.rows, "density", 1),
-            f"{misfit} ± {d_misfit}: {deposited_at(misfit * 1e-6, c.metal):.0f} K",
         ])  # fmt: skip
-    head = "coating | m/s, K | stress (MPa) | computed | other | strain | computed | density (%) | computed | misfit"
+    head = "coating | m/s, K | stress (MPa) | computed | other | strain | computed | density (%) | computed"
     tested = ((f"{r['velocity_m_s']} m/s, {r['test']}", r) for r in rows if r["test"] and not r["failed"])
     tests = [f"{test} {float(r['stress_MPa']):.0f} MPa" for test, r in tested]
     return [*markdown(head, table, rows), *(["", f"Tests: {'; '.join(tests)}."] if tests else [])]
@@ -227,10 +219,12 @@ def coating_part(rows: Sequence[Row]) -> list[str]:
     for row in (row for row in rows if not row["failed"]):
         for quantity, what, measured, ours, digits in coating_pairs(row):
             if row["test"] and not what.endswith("h / w"):
-                tests.append(f"{what}, {row['test']} {with_error(*ours, digits)}")
+                short = what.replace(" in a coating, (d₀ - h) / d₀", "")
+                tests.append(f"{short}, {row['test']} {with_error(*ours, digits)}")
             elif not row["test"]:
                 lines.append([quantity, what, with_error(*measured, digits), with_error(*ours, digits)])
-    return [*markdown("quantity | case | measured | computed", lines, rows), "", f"Tests: {'; '.join(tests)}."]
+    told = f"Tests, (d₀ - h) / d₀ and MPa: {'; '.join(tests)}."
+    return [*markdown("quantity | case | measured | computed", lines, rows), "", told]
 
 
 if __name__ == "__main__":

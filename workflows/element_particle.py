@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from pages import computed, impact_tables, options, versions, write_parts
+from pages import computed, impact_tables, markdown, options, write_parts
 from study_table import Row, number, study
 
 from coupler import Scene
@@ -150,7 +150,7 @@ MEASURED = {  # column -> instant, measure
 BALANCE = ("plastic_particle", "plastic_target", "numerical", "drift")  # over the initial kinetic energy
 SIZES = (3.4, 2.4, 1.7)  # um, edges of the substrate's elements; the points have a spacing of 2.0, 1.41 and 1.0 um
 SHOWN = {
-    "flattening_gd": "flattening above surface, greatest", "whole_end": "whole flattening", "crater_end_um": "crater",
+    "flattening_gd": "greatest flattening above surface", "whole_end": "whole flattening", "crater_end_um": "crater",
     "diameter_end_um": "diameter", "eps_p_mean_end": "mean strain",
 }  # fmt: skip
 
@@ -202,9 +202,9 @@ def part(rows: Sequence[Row]) -> list[str]:
         pair = of.get((case, "points")), of.get((case, "elements"))
         if all(pair):
             by_points, by_elements = ({name: number(row, name) for name in SHOWN} for row in pair if row)
-            apart = (f"{label} {by_points[n] / by_elements[n] - 1.0:+.1%}" for n, label in SHOWN.items())
-            lines.append(f"- {metal}, {velocity:g} m/s: {', '.join(apart)}".replace("%", " %"))
-    return [*lines, "", versions(rows)]
+            apart = (f"{100.0 * (by_points[n] / by_elements[n] - 1.0):+.1f}" for n in SHOWN)
+            lines.append([f"{metal}, {velocity:g} m/s", *apart])
+    return markdown(["points less elements, %", *SHOWN.values()], lines, rows)
 
 
 if __name__ == "__main__":

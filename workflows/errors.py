@@ -91,8 +91,8 @@ def table_part(rows: Sequence[Row]) -> list[str]:
         lines.append(cells)
     texts = (f"{preset}: {text}" for preset in PRESETS[:2] for text in ("printed error", "fine off", "fine within"))
     failed = [f"{row['scene']}, {row['preset']}: {row['failed']}" for row in rows if row["failed"]]
-    told = f"Failed: {'; '.join(failed)}." if failed else "No run failed."
-    return [*markdown(["measure", *texts], lines), "", told, "", versions(rows)]
+    told = [f"Failed: {'; '.join(failed)}.", ""] if failed else []
+    return [*markdown(["measure", *texts], lines), "", *told, versions(rows)]
 
 
 def time_part(rows: Sequence[Row]) -> list[str]:
@@ -108,7 +108,7 @@ def time_part(rows: Sequence[Row]) -> list[str]:
     standard = [r for r in rows if r["preset"] == "standard" and r["error_cpu_s"]]
     cost = [number(r, "error_cpu_s") / number(r, "cpu_s") for r in standard]
     return [
-        f"Medians over the {len(common)} scenes that have all three: {'; '.join(texts)}. The coarser runs that measure the error take"
+        f"Medians of {len(common)} scenes: {'; '.join(texts)}. The coarser runs that measure the error take"
         f" {100 * np.median(cost):.0f} % of the time of a run at `standard`."
     ]
 

@@ -154,11 +154,11 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
     lines = []
     for metal in METALS:
         for name in entry(metal).sets:
-            found = [errors(rows, metal, name, preset)[:2] for preset in PRESETS]
-            lines.append([metal, name, *(f"{rms:.3f} ({mean:+.3f})" for rms, mean in found)])
+            rms, mean, _ = errors(rows, metal, name, PRESETS[-1])
+            lines.append([metal, name, f"{rms:.3f} ({mean:+.3f})"])
     bands = ", ".join(f"{metal} ± {band_of(rows, metal):.3f}" for metal in METALS)
-    head = ["metal", "strength set", *(f"{preset}: rms (mean)" for preset in PRESETS)]
-    return [*markdown(head, lines), "", f"Error of the discretisation: {bands}.", "", versions(rows)]
+    table = markdown("metal | strength set | rms (mean)", lines)
+    return [*table, "", f"Error of the discretisation: {bands}.", "", versions(rows)]
 
 
 def splat_ratio(row: Row) -> float:

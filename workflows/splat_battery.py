@@ -29,8 +29,6 @@ SHOWN = {  # label -> column, factor, form, the worst of all
     "width against the points": ("width", 100.0, "{:+.1f} %", max),
     "points more than half a spacing outside": ("outside_half", 100.0, "{:.1f} %", max),
     "worst gamma": ("gamma_min", 1.0, "{:.2f}", min),
-    "mean gamma": ("gamma_mean", 1.0, "{:.2f}", min),
-    "least dihedral angle": ("dihedral_deg", 1.0, "{:.0f}°", min),
     "worst step length over edge": ("step_over_size", 1.0, "{:.2f}", min),
     "volume integral of σ:σ": ("stress_square", 100.0, "{:+.0f} %", max),
     "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
@@ -81,9 +79,10 @@ def compute(only: str, docs: bool) -> list[Row]:
 def part(rows: Sequence[Row]) -> list[str]:
     """The table of the page: medians over each kind of clouds, with the worst in brackets."""
     groups = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
-    lines = [["conversions", *(len(own) for own in groups.values())]]
-    lines.append(["all gates passed", *(sum(row["result"] == "meshed" for row in own) for own in groups.values())])
-    lines.append(["at the first try", *(sum(not row["failed_tries"] for row in own) for own in groups.values())])
+    passed = {kind: [row for row in own if row["result"] == "meshed"] for kind, own in groups.items()}
+    first = {kind: sum(not row["failed_tries"] for row in own) for kind, own in groups.items()}
+    counts = [f"{len(own)}, {len(passed[kind])}, {first[kind]}" for kind, own in groups.items()]
+    lines = [["conversions, all gates passed, at the first try", *counts]]
     for label, (name, factor, form, worst) in SHOWN.items():
         cells = []
         for own in groups.values():
