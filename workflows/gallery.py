@@ -62,8 +62,8 @@ def run_page(page: Path) -> None:
         finally:
             os.chdir(home)
     text = re.sub(r"\n\*Computed in .*\n", "", text)
-    took = f"Computed in {spent() - start:.0f} s of processor time by version {__version__}"
-    page.write_text(f"{text}\n*{took}; remade by* `python workflows/gallery.py {page.stem}`\n", encoding="utf-8")
+    took = f"Computed in {spent() - start:.0f} s of processor time by version {__version__}."
+    page.write_text(f"{text}\n*{took}*\n", encoding="utf-8")
 
 
 def run_notebook(path: Path) -> None:
