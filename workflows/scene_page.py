@@ -27,6 +27,7 @@ DEFAULTS = {  # numbers of the plan, in words
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
+SAME = "as in `[particle]`"  # words of keys that share a row
 EXAMPLE = """```toml
 [particle]
 material = "MyAlloy"
@@ -78,13 +79,17 @@ Units: {"; ".join(known)}.
         lines += ["", "| key | values | default | |", "|---|---|---|---|"]
         for key, entry in table["properties"].items():
             full = f"{name}.{key}" if name else key
+            if words(full) == SAME:
+                continue
             default = "needed" if key in table["required"] else "" if full == "name" else _default(entry)
             lines.append(f"| `{key}` | {_values(entry)} | {default} | {words(full)}{DEFAULTS.get(full, '')} |")
+        if same := [f"`{key}`" for key in table["properties"] if words(f"{name}.{key}") == SAME]:
+            lines.append(f"| {', '.join(same)} | | | {SAME} |")
         lines.append("")
-    own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
+    own = "A material of your own, or one of the library (`coldspray materials`) with other numbers."
     lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
               *_plain(materials.Material, materials.DEFAULTS, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
-    own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
+    own = "A nozzle of your own, beside those of the library (`coldspray nozzles`)."
     lines += ["## `[nozzles.NAME]`", "", own, "",
               *_plain(nozzles.Nozzle, nozzles._DEFAULTS, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
@@ -129,8 +134,7 @@ def _laws() -> list[str]:
     *_, last = texts.values()
     shared = [text for text in last if all(text in own for name, own in texts.items() if name != "johnson_cook")]
     lines = ["Keys of its strength law, in the same table (needed unless a default is given):", ""]
-    names = ", ".join(f"`{name}`" for name in LAWS)
-    lines += [f"- `law`: {names}; {words('law.law')}", f"- `fitted`: {words('law.fitted')}"]
+    lines += [f"- `law`: {words('law.law')}", f"- `fitted`: {words('law.fitted')}"]
     lines += [f"- `{name}`: {'; '.join(text for text in own if text not in shared)}." for name, own in texts.items()]
     lines.append(f"- all but `johnson_cook`: {'; '.join(shared)}.")
     return [*lines, ""]
