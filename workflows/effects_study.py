@@ -166,7 +166,7 @@ def write(changes: list[Row], against: list[Row]) -> None:
     head = ["effect", "number", *(f"{name}, %" for name in SHOWN.values()), "threshold"]
     ratios = [number(row, "ratio") for row in against]
     spread = f"median of {len(ratios)} scenes at `draft`; {min(ratios):.2f} to {max(ratios):.2f}" if ratios else ""
-    saved = f"Everything on takes {np.median(ratios):.2f} times the time of `auto` ({spread})." if ratios else ""
+    saved = f"All effects take {np.median(ratios):.2f} times the time of `auto` ({spread})." if ratios else ""
     draw(largest)
     write_parts("effects", {"table": markdown(head, lines, changes), "proof": [saved]})
 

@@ -106,7 +106,6 @@ def contact(rows: Sequence[Row]) -> list[str]:
          f"at a strain of 0.2; at 0.002: {number(first, 'plastic_radius_um'):.0f}"),
         ("3: crater, µm", column([first], "crater_um"), "max_penetration_um", ".1f",
          f"{number(soft, 'crater_um'):.1f} without the steel's rate term"),
-        ("4: points and elements", column(ends, "points") + column(ends, "elements"), "elements", ".0f", ""),
         ("4: time, h", column(ends, "run_cpu_s") / 3600.0, "hours", ".3g", "one thread here"),
         ("4: highest temperature, K", most["T_max"], "T_max_K", ".0f",
          f"{number(soft, 'T_max'):.0f} without the rate term; the rim cools"),
