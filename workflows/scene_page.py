@@ -23,7 +23,7 @@ Entry = Mapping[str, Any]  # of a key in the schema
 SCHEMA = Scene.model_json_schema()
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 DEFAULTS = {  # numbers of the plan, in words
-    "preset": ": points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
+    "preset": "; points: " + ", ".join(f"`{p}` {n}" for p, n in estimates.PRESETS.items()),
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
