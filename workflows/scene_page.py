@@ -22,12 +22,12 @@ from coupler.spray import nozzles
 Entry = Mapping[str, Any]  # of a key in the schema
 SCHEMA = Scene.model_json_schema()
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
+SAME = "as in `[particle]`"  # words of keys that share a row
 DEFAULTS = {  # numbers of the plan, in words
     "preset": "; points: " + ", ".join(f"`{p}` {n}" for p, n in estimates.PRESETS.items()),
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
-SAME = "as in `[particle]`"  # words of keys that share a row
 EXAMPLE = """```toml
 [particle]
 material = "MyAlloy"
