@@ -5,7 +5,6 @@ not at rest in its time, which it says) in which `verify.check` finds no fault, 
 gives up), within the time. All else (a fault, a traceback, a signal, no end) is printed and kept in DIR, and the exit code is then 1.
 """
 
-import argparse
 import contextlib
 import math
 import os
@@ -25,6 +24,7 @@ from typing import Any
 import meshio
 import numpy as np
 import verify
+from pages import options
 
 from coupler import Result, report
 from coupler.commands.main import main as coldspray
@@ -373,11 +373,7 @@ def tried(
     play(seed, folder): how a seed ends, and what is wrong with that, "" for nothing; what lies in the folder, which is within one of
     the seed's own, is then kept in keep/SEED.
     """
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--n", type=int, default=n)
-    parser.add_argument("--seed", type=int, default=1, help="the first one; those after it count on")
-    parser.add_argument("--keep", type=Path, default=Path(keep))
-    a = parser.parse_args(argv)
+    a = options(about, argv=argv, n=n, seed=1, keep=Path(keep))
     ends: Counter[str] = Counter()
     for seed in range(a.seed, a.seed + a.n):
         with tempfile.TemporaryDirectory(prefix="fuzz-") as place:

@@ -14,8 +14,8 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
@@ -30,6 +30,7 @@ import sweeps  # noqa: E402
 from fuzz import ended, tried, verdict  # noqa: E402
 
 from coupler.files import checkpoint  # noqa: E402
+from coupler.files.inputs import read_toml  # noqa: E402
 from coupler.files.store import Store  # noqa: E402
 from coupler.particle import packing  # noqa: E402
 from coupler.plan.planning import plan  # noqa: E402
@@ -50,59 +51,14 @@ VALUES = (
     "18446744073709551616", "2147483648", '"text"', '""', "'", "true", "null", "[]", "{}", "[[]]", '"25 um"', '"nan um"', '"1e308 m"',
     '"-5 K"', "\u0663", "\x00", "1_0", "0x10", ",", "{a=1}", '"' + "x" * 3000 + '"',
 )  # fmt: skip
-RUN_COMMANDS = (
-    ["report", "RUN", "--out", "OUT.html"], ["compare", "RUN", "GOOD", "--out", "OUT.png"],
-    ["compare", "GOOD", "RUN", "--out", "OUT.html"],
-    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"],
-    ["map", "PARENT", "--out", "OUT", "--show", "flattening_ratio"],
-    ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
-)  # fmt: skip
 TINY = """preset = "draft"
 particle = { material = "Ni", diameter = "10 um", velocity = "500 m/s" }
 substrate = { material = "SS304", diameter = "60 um", height = "30 um" }
 resolution = { spacing = "1.1 um" }
 end = { time = "12 ns" }
 """
-GAS = shlex.split('gas --library FILE --pressure "20 bar" --temperature "400 degC" --diameter "25 um" --nozzle')
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of file. source: a sound one, within the folder of the case; weight: how often; commands: that read it."""
-
-    name: str
-    source: str
-    weight: int
-    commands: Sequence[Sequence[str]]
-
-
-POINT = "sweep/Ni_10um_400ms_300K"
-SHOW = [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]
-KINDS = (
-    Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
-    Kind("coating scene", "coating.toml", 3, [["check", "FILE"]]),
-    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["nozzles", "--library", "FILE"]]),
-    Kind("points as text", "cloud.csv", 2, [["mesh", "FILE", "--unit", "um", "--out", "OUT.vtu"]]),
-    Kind("points as .npz", "cloud.npz", 2, [["mesh", "FILE", "--out", "OUT.msh"]]),
-    Kind("points of meshio", "cloud.vtu", 2, [["mesh", "FILE", "--out", "OUT.vtk"]]),
-    Kind("points as .ply", "cloud.ply", 1, [["mesh", "FILE", "--out", "OUT.inp"]]),
-    Kind("shape as STL in text", "text.stl", 1, [["check", "SHAPE"]]),
-    Kind("shape as STL", "shape.stl", 1, [["check", "SHAPE"]]),
-    Kind("shape as OBJ", "shape.obj", 2, [["check", "SHAPE"]]),
-    Kind("shape as PLY", "shape.ply", 2, [["check", "SHAPE"], ["mesh", "FILE", "--out", "OUT.vtu"]]),
-    Kind("scene of a run", "runs/one/scene.toml", 4, RUN_COMMANDS),
-    Kind("summary", "runs/one/summary.json", 6, RUN_COMMANDS),
-    Kind("plan", "runs/one/plan.json", 4, RUN_COMMANDS),
-    Kind("plan of an unfinished run", "begun/plan.json", 2, [["resume", "RUN", "--quiet"]]),
-    Kind("history", "runs/one/history.csv", 4, RUN_COMMANDS[:5]),
-    Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
-    Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
-    Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
-    Kind("end of a point", f"{POINT}.json", 2, SHOW),
-    Kind("summary of a point", f"{POINT}/summary.json", 3, SHOW),
-    Kind("scene of a point", f"{POINT}.toml", 3, SHOW),
-    Kind("checkpoint", "broken/checkpoint-000002.ckpt", 5, [["resume", "BROKEN", "--quiet"]]),
-)
+KNOWN = read_toml(ROOT / "workflows" / "fuzz_files.toml")
+KINDS: dict[str, dict[str, Any]] = KNOWN["kinds"]
 
 
 def prepare(folder: Path) -> None:
@@ -253,15 +209,15 @@ def mutate(dice: random.Random, path: Path) -> str:
 def case(seed: int, sound: Path, folder: Path) -> tuple[str, list[str]]:
     """Make the files of a seed in a folder. Returns what was done, and the command."""
     dice = random.Random(seed)
-    kind = dice.choices(KINDS, [k.weight for k in KINDS])[0]
+    name = dice.choices([*KINDS], [kind["weight"] for kind in KINDS.values()])[0]
     shutil.copytree(sound, folder)
-    path = folder / kind.source
+    path, commands = folder / KINDS[name]["source"], KINDS[name]["commands"]
     said = mutate(dice, path)
     words = {"FILE": path, "RUN": path.parent, "PARENT": path.parent.parent, "GOOD": folder / "good", "SWEEP": folder / "sweep",
              "BROKEN": folder / "broken", "SHAPE": path.with_name(f"{path.name}.toml")}  # fmt: skip
-    command = [str(words.get(word, word)) for word in dice.choice(kind.commands)]
-    command = [str(folder / word) if word.startswith("OUT") else word for word in command]
-    return f"{kind.name}: {said}", command
+    chosen = shlex.split(dice.choice(KNOWN["commands"][commands] if isinstance(commands, str) else commands))
+    command = [str(folder / word) if word.startswith("OUT") else str(words.get(word, word)) for word in chosen]
+    return f"{name}: {said}", command
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -46,8 +46,9 @@ def spent() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def options(about: str, *switches: str, **values: object) -> argparse.Namespace:
-    """The options of a script, which its docstring explains: switches, and others with a value of the type of their default."""
+def options(about: str, *switches: str, argv: Sequence[str] | None = None, **values: object) -> argparse.Namespace:
+    """The options of a script, which its docstring explains: switches, and others with a value of the type of their default. argv:
+    words of the command line, by default those of this process."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in switches:
         parser.add_argument(f"--{name}", action="store_true")
@@ -55,7 +56,7 @@ def options(about: str, *switches: str, **values: object) -> argparse.Namespace:
         several = isinstance(default, (list, tuple))
         kind = type(default[0] if isinstance(default, (list, tuple)) else default)
         parser.add_argument(f"--{name}", type=kind, nargs="*" if several else None, default=default)
-    return parser.parse_args()
+    return parser.parse_args(argv)
 
 
 def impact_tables(

@@ -28,30 +28,6 @@ DEFAULTS = {  # numbers of the plan, in words
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
-EXAMPLE = """```toml
-[particle]
-material = "MyAlloy"
-diameter = "25 um"
-velocity = "600 m/s"
-
-[materials.MyAlloy]
-rho = "8190 kg/m3"
-G = "77 GPa"
-c0 = "4500 m/s"
-s = 1.5                            # a number without a unit stands without quotes
-Gamma0 = 1.8
-T_m = "1600 K"
-T_ref = "293 K"                    # at which the yield stress is A
-cp = "435 J/(kg K)"                # constant; or [["300 K", "435 J/(kg K)"], ["1073 K", "580 J/(kg K)"]]
-k = "11 W/(m K)"
-A = "980 MPa"                      # Johnson-Cook
-B = "1370 MPa"
-n = 0.16
-C = 0.02
-m = 1.03
-eps_dot_0 = "1 1/s"
-source = "an example, not a measurement"
-```"""
 
 
 def main(path: Path = PAGE) -> None:
@@ -87,7 +63,7 @@ Units: {"; ".join(known)}.
             lines.append(f"| {', '.join(same)} | | | {SAME} |")
         lines.append("")
     own = "A material of your own, or one of the library (`coldspray materials`) with other numbers."
-    lines += ["## `[materials.NAME]`", "", own, "", *EXAMPLE.splitlines(), "",
+    lines += ["## `[materials.NAME]`", "", own, "", "```toml", *words("material.example").splitlines(), "```", "",
               *_plain(materials.Material, materials.DEFAULTS, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
     own = "A nozzle of your own, beside those of the library (`coldspray nozzles`)."
     lines += ["## `[nozzles.NAME]`", "", own, "",
