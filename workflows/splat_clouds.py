@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pages import computed, spacing_of
 from scipy.spatial import cKDTree
+from study_table import measurements
 
 from coupler import Scene
 from coupler.deposition.joining import cloud_of
@@ -58,47 +59,18 @@ def impact(
 
 def real() -> dict[str, Callable[[], Cloud]]:
     """The impacts by name."""
-    clouds = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
-    clouds |= {f"{m}{v}_greatest": impact(m, v, moment=0) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
-    for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
-        clouds |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
-    for angle, fast in ((30, 1000), (45, 750)):
-        pairs = ("Ni", 500), ("Ni", fast), ("Ti", 500)
-        clouds |= {f"{m}{v}_at_{angle}": impact(m, v, angle=f"{angle} deg") for m, v in pairs}
-    clouds["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt="90 deg")
-    for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
-        clouds[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=[f"{offset} um", "0 um"])
-    clouds["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=["14 um", "0 um"])
-    clouds |= {f"{m}{v}_fine": impact(m, v, points=5000) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
-    clouds |= {f"{m}{v}_{shape}_fine": impact(m, v, points=5000, shape=shape) for m, v, shape in
-               (("Ni", 750, "flake"), ("Ni", 500, "hollow_sphere"))}  # fmt: skip
-    return clouds
+    return {name: impact(**row) for name, row in measurements("impact_clouds", "scenes").items()}
 
 
 def splats() -> dict[str, Callable[[], Cloud]]:
     """Thirty splats of runs of 500 points, by name: four metals, oblique, hot, soft on hard, hard on soft, and sequences."""
     clouds: dict[str, Callable[[], Cloud]] = {}
-
-    def add(name: str, base: str, *particles: str) -> None:
-        diameter = 30.0 if name.startswith("Ti") else 25.0
+    for name, row in measurements("splat_clouds", "scenes").items():
+        particles = tuple(particle(**each) for each in row["particles"])
+        run = partial(played, particles, row["base"], spacing_of(500, 30.0 if name.startswith("Ti") else 25.0))
         for i in range(len(particles)):
             label = f"run_{name}" + (f"_{i + 1}_of_{len(particles)}" if len(particles) > 1 else "")
-            clouds[label] = lambda i=i: played(particles, base, spacing_of(500, diameter))[i][1]  # type: ignore[misc]
-
-    for metal, base, velocities in (("Ni", "SS304", (400, 600, 800)), ("Ti", "Ti", (400, 700, 900)), ("Cu", "Cu", (300, 500, 700)),
-                                    ("Al", "Al", (500, 700, 900))):  # fmt: skip
-        for velocity in velocities:
-            add(f"{metal}{velocity}_on_{base}", base, particle(metal, velocity))
-    for metal, velocity, angle in (("Ni", 600, 30), ("Ti", 600, 40), ("Cu", 500, 45), ("Al", 700, 20)):
-        add(f"{metal}{velocity}_at_{angle}", "SS304", particle(metal, velocity, angle=f"{angle} deg"))
-    for metal, velocity, hot in (("Ni", 500, 900), ("Ti", 600, 900), ("Cu", 500, 700), ("Al", 600, 550)):
-        add(f"{metal}{velocity}_at_{hot}K", metal, particle(metal, velocity, temperature=f"{hot} K"))
-    for metal, velocity, base in (("Cu", 500, "SS304"), ("Al", 700, "SS304"), ("Ni", 500, "Al")):
-        add(f"{metal}{velocity}_on_{base}", base, particle(metal, velocity))
-    three = ((500, "0 um"), (600, "12 um"), (700, "-8 um"))
-    add("Ni_three", "SS304", *(particle("Ni", v, offset=[x, "0 um"]) for v, x in three))
-    add("Cu_Al", "SS304", particle("Cu", 500), particle("Al", 600, offset=["10 um", "0 um"]))
-    add("Ti_Ni", "Ti", particle("Ti", 600), particle("Ni", 500, offset=["-9 um", "0 um"]))
+            clouds[label] = lambda run=run, i=i: run()[i][1]  # type: ignore[misc]
     return clouds
 
 
