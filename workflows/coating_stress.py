@@ -64,9 +64,8 @@ def row_of(*key: str) -> dict[str, object]:
         splats = coating.read(result)
         all_ = coating.measure(splats)
     inner = buried(splats)
-    layers = [
-        layer for layer in all_.layers if 0 < layer["layer"] < splats.layers
-    ]  # the last is that of the last impacts
+    # the last is that of the last impacts
+    layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
     eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
         "impact_m_s": particle.velocity, "impact_K": particle.temperature,

@@ -33,9 +33,8 @@ HEAT = 0.10  # rise of c_p T, over plastic work and friction, against the share 
 STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts from: the fields are single precision
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
-AVERAGED_VOLUME = (
-    0.05  # of the sum of all changes: volume follows pressure nonlinearly, and an element has the mean of its corners
-)
+# of the sum of all changes: volume follows pressure nonlinearly, and an element has the mean of its corners
+AVERAGED_VOLUME = 0.05
 SKIN = 0.20  # volume inside the particle's surface, which is carried between the points, off that of the points
 SUNK = 0.01  # share of a particle that may lie deeper than a spacing in the target: single points of a jet, as the program allows
 # momentum that the contact takes, outside the sums of the lesser and of the greater force of two rows of the history, if it acts in so

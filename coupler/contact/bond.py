@@ -248,9 +248,8 @@ def _check(bond: Bond) -> None:
         raise SolverError(
             "a bond needs positive strength and stiffness, and an energy of zero or more: correct [adhesion]"
         )
-    full = strength**2 / (
-        2.0 * stiffness[:, None]
-    )  # J/m2 in the spring at the strength; infinite for infinite strength
+    # J/m2 in the spring at the strength; infinite for infinite strength
+    full = strength**2 / (2.0 * stiffness[:, None])
     short = (energy > 0.0) & (energy < full) & np.isfinite(full)
     if short.any():
         least = float(full[short].max())

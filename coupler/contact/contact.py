@@ -104,9 +104,8 @@ class Contact(ContactState):
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
         self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
-        self._active = np.full(
-            bodies, np.inf
-        )  # the search of each body is valid while at most this number of nodes moves
+        # the search of each body is valid while at most this number of nodes moves
+        self._active = np.full(bodies, np.inf)
         self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
 
     @property

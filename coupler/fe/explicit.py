@@ -342,9 +342,8 @@ class Target(TargetState):
 
     def rest(self) -> None:
         """Set all velocities of the target to zero."""
-        self.balance.impulse = (
-            self.external_impulse() - self.mass @ self.nodes.v
-        )  # an external impulse stops the target
+        # an external impulse stops the target
+        self.balance.impulse = self.external_impulse() - self.mass @ self.nodes.v
         self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         self.inertia = ElementInertia()
         if self.least_mass > 0.0:

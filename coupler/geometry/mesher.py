@@ -41,9 +41,8 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
     finally:
         gmsh.finalize()
         if threading.current_thread() is threading.main_thread():  # other threads may not set it
-            signal.signal(
-                signal.SIGPIPE, signal.SIG_IGN
-            )  # Python's default; with gmsh's a broken pipe ends the process
+            # Python's default; with gmsh's a broken pipe ends the process
+            signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     if len(nodes) == 0:
         raise SolverError("gmsh made no tetrahedra: choose smaller elements or a larger substrate")
     lookup = np.zeros(int(tags.max()) + 1, np.int64)

@@ -40,9 +40,8 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     mesh.merge_close_vertices(100.0 * SAME_PLACE)
     mesh.remove_degenerate_triangles()
     corners = np.asarray(mesh.triangles)
-    _, once = np.unique(
-        np.sort(corners, axis=1), axis=0, return_index=True
-    )  # a double may have the opposite orientation
+    # a double may have the opposite orientation
+    _, once = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
     mesh.remove_triangles_by_index(np.setdiff1d(np.arange(len(corners)), once).tolist())
     label, _, area = (np.asarray(values) for values in mesh.cluster_connected_triangles())
     if not len(area) or not area.sum() > 0.0:

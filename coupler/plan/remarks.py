@@ -55,9 +55,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         yield f"dwell = 0 us: each particle hits a target that the one before has heated; {real}"
     if scene.coating is not None:
         across = 2.0 * scene.coating.radius + sum(i.diameter for i in impacts) / len(impacts)
-        height = sum(i.diameter**3 for i in impacts) / (
-            1.5 * across**2
-        )  # volume of the particles over area of the disc
+        # volume of the particles over area of the disc
+        height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)
         if height >= across:
             heap = f"{units.rounded(across, 'um')} make a heap of {units.rounded(height, 'um')} height"
             text = "and late particles slide down its flanks: give a larger coating.radius or fewer particles"

@@ -118,9 +118,8 @@ def fly_together(
 
     D, gas, rho, (given, c_p) = np.asarray(diameters, np.float64), flow.gas, material.rho, np.transpose(material.cp)
     columns = []
-    y = np.tile(
-        [flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D)
-    )  # sphere by sphere; the spheres are independent
+    # sphere by sphere; the spheres are independent
+    y = np.tile([flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D))
     for start, stop, state in flow.pieces:
 
         def slope(x: float, y: NDArray[np.float64], state: Callable[[float], State] = state) -> NDArray[np.float64]:

@@ -148,9 +148,8 @@ def compute(scene: Path, threads: int = 1) -> dict[str, object]:
     if the run is stopped from outside: the next call continues it."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
-    if (
-        lock := lock_folder(folder, wait=True)
-    ) is not None:  # a run may outlive its study for some time, if that was killed
+    # a run may outlive its study for some time, if that was killed
+    if (lock := lock_folder(folder, wait=True)) is not None:
         os.close(lock)
     with subprocess.Popen(_command(scene, folder, threads), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
                           env=own_environment()) as run:  # fmt: skip
