@@ -32,6 +32,12 @@ def sum_of(a: Matrix, b: Matrix) -> Matrix:
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
+def scaled(c: float, a: Matrix) -> Matrix:
+    """The matrix c a."""
+    return c * a[0], c * a[1], c * a[2], c * a[3], c * a[4], c * a[5], c * a[6], c * a[7], c * a[8]
+
+
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
 def add_outer(a: Matrix, u: Vector, v: Vector) -> Matrix:
     """The matrix a + u (x) v, where (x) is the outer product."""
     return (

@@ -1,8 +1,9 @@
-"""The particle with two compiled passes over points and pairs (`particle.compiled_kernels`), in the form of MACHDYN.
+"""The particle with two compiled passes over points (`particle.compiled_kernels`), in the form of MACHDYN.
 
 LAMMPS stores and distributes the points; their motion is integrated here, in all threads. Neighbours are those of the reference
 configuration: lists are made once. With several ranks LAMMPS provides positions and velocities of neighbours on other ranks;
-between the passes the ranks exchange their F, Q and plastic strain with fixed lists. No sum depends on the division of the points.
+between the passes the ranks exchange what depends on the state of one point, with fixed lists. No sum depends on the division of the
+points.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +22,7 @@ from ..physics import motion
 from ..physics.constitutive import sound_speed
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
-from .model import Deformation, Losses, Motion, Pairs, Residuals, Scheme, Sides
+from .model import Control, Deformation, Losses, Motion, Scheme, Sides
 from .particle import DISTORTED, UNDEFINED_STRESS, LocalState, Particle, PointState
 from .start import H
 
@@ -45,7 +46,7 @@ class CompiledParticle(Particle):
     POINTS: ClassVar[type[PointState]] = CompiledPoints
     points: CompiledPoints
     _passes: ClassVar[ModuleType] = k
-    _residuals: Residuals | None = None
+    _kinds: ClassVar[int] = 2  # of losses (`model.Losses`)
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -56,45 +57,52 @@ class CompiledParticle(Particle):
         self._motion = Motion(x.copy(), x, v, v_half)
         F = np.tile(np.eye(3).ravel(), (everyone, 1))
         self.points = replace(self.points, F=F[: self.n], R=F[: self.n].copy())
-        self._deformation = Deformation(F, self.points.R, np.zeros((everyone, 9)), np.ones(everyone))
+        self._deformation = Deformation(F, self.points.R, np.ones(everyone))
         num, h = self.numerics, 2.0 * self.numerics.kernel_radius * self.spacing
         self._warming = self.law["expansion"] * self.law["taylor_quinney"]  # share of plastic work that raises pressure
         self._scheme = Scheme(self.volume_of_point, h, H, num.Q1, num.Q2, num.hourglass)
-        of_pairs = self._list_neighbours()
+        self._list_neighbours()
         self._list_exchange()
-        self._pairs = self._list_pairs(*of_pairs)
-        m = len(self._pairs.points)
-        self._force, self._losses = np.zeros((m, 3)), Losses(*np.zeros((2, m, 2)))
-        self._heat, self._failed, self._plastic = np.zeros(self.n), np.full(PARTS, -1), np.zeros(len(self.law))
+        count = len(self._sides.neighbour)
+        self._force = np.zeros((count + len(self._far), 3))  # b in `model`
+        self._losses = Losses(np.zeros((self._kinds, count)), np.zeros((2, self.n)))
+        self._failed, self._plastic = np.full(PARTS, -1), np.zeros(len(self.law))
 
-    def _list_neighbours(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """List the neighbours of each point, in the order of the points' numbers in the whole particle. Returns points, r0, w and W
-        of the pairs (`model.Pairs`) in the same order."""
-        n, X, tag, h = self.n, self._motion.X, self._tag, self._scheme.h
+    def _list_neighbours(self) -> None:
+        """List the neighbours of each point, in the order of the points' numbers in the whole particle."""
+        n, X, tag, h, V = self.n, self._motion.X, self._tag, self._scheme.h, self.volume_of_point
         pairs = cKDTree(X).query_pairs(1.12 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
         pairs = pairs[(pairs < n).any(axis=1)]
-        pairs = np.where((tag[pairs[:, 0]] < tag[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
         d = X[pairs[:, 1]] - X[pairs[:, 0]]
         r0 = np.sqrt((d * d).sum(axis=1))
-        after = self.total + 1  # one key from two numbers takes a quarter of the time of lexsort
-        order = np.argsort(tag[pairs[:, 0]] * after + tag[pairs[:, 1]])
-        order = order[self._are_neighbours(pairs, r0)[order]]
-        pairs, r0 = pairs[order], r0[order]
+        are_neighbours = self._are_neighbours(pairs, r0)
+        pairs, r0 = pairs[are_neighbours], r0[are_neighbours]
         slope = KERNEL * np.maximum(h - r0, 0.0) ** 2 / h**6
         W = np.float32(-THIRD * (h - r0) * slope).astype(float)
         w = np.float32(slope).astype(float) / r0  # MACHDYN stores both in single precision
+        rho, K, G = (self.law[name] for name in ("rho", "K", "G"))
+        c = np.array([sound_speed(*each) for each in zip(rho, K, G, strict=True)])
+        law_of = self._whole_law_of[tag[pairs] - 1]
+        rho, c, E = (of_law[law_of].mean(axis=1) for of_law in (rho, c, 9 * K * G / (3 * K + G)))
+        factor = (rho * V) ** 2 * (1.0 / rho) * w * r0
 
         # each pair has a side for each of its points on this rank
         point, other = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
-        row = np.concatenate([np.arange(len(pairs)), ~np.arange(len(pairs))])
-        order = np.argsort(point * after + tag[other])
-        order = order[point[order] < n]
-        self._point, other, row = point[order], other[order], row[order]
+        side = np.argsort(point * (self.total + 1) + tag[other])  # one key takes a quarter of the time of lexsort
+        side = side[point[side] < n]
+        row = np.full(len(point), -1)
+        row[side] = np.arange(len(side))
+        reverse, pair = row[(side + len(pairs)) % max(len(point), 1)], side % max(len(pairs), 1)
+        self._point, other = point[side], other[side]
         first = np.searchsorted(self._point, np.arange(n + 1)).astype(np.uint32)
-        w_of = np.concatenate([w, w])[order]
-        gradient = self._gradients(first, X[other] - X[self._point], w_of)
-        self._sides = Sides(first, other.astype(np.uint32), row.astype(np.int32), w_of, gradient)
-        return pairs, r0, w, W
+        gradient = self._gradients(first, X[other] - X[self._point], w[pair])
+        # sides of points on other ranks follow the own ones, in the order of their points and neighbours
+        self._far = np.flatnonzero(other >= n)
+        self._far = self._far[np.lexsort((tag[self._point[self._far]], tag[other[self._far]]))]
+        reverse[self._far] = len(side) + np.arange(len(self._far))
+        of_side = first, other.astype(np.uint32), reverse.astype(np.uint32), w[pair]
+        self._sides = Sides(*of_side, gradient, factor[pair], c[pair])
+        self._control = Control(r0[pair], W[pair], E[pair])
 
     def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Gradient weights (sides,3) 1/m of the neighbours at d (sides,3) m from each point: grad u = sum of (u_j - u_i) weight."""
@@ -110,57 +118,33 @@ class CompiledParticle(Particle):
         return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
-        """List the rows that each rank receives and sends between the two passes."""
+        """List the rows of points and of sides that each rank receives and sends between the two passes."""
         self._sends, self._receives = _by_rank([]), _by_rank([])
+        self._side_sends, self._side_receives = _by_rank([]), _by_rank([])
         if self.comm.size == 1:
             return
-        needed = np.unique(self._sides.neighbour[self._sides.neighbour >= self.n]).astype(np.int64)
+        tag, point, neighbour = self._tag, self._point, self._sides.neighbour.astype(np.int64)
+        needed = np.unique(neighbour[neighbour >= self.n])
         owner = np.empty(self.total, np.int64)
         for rank, ids in enumerate(self.comm.allgather(self.ids)):
             owner[ids] = rank
-        self._owner = owner[self._tag - 1]
-        wanted = [needed[owner[self._tag[needed] - 1] == rank] for rank in range(self.comm.size)]
-        asked = self.comm.alltoall([self._tag[rows] - 1 for rows in wanted])
+        owner = owner[tag - 1]
+        ranks = range(self.comm.size)
+        wanted = [needed[owner[needed] == rank] for rank in ranks]
+        asked = self.comm.alltoall([tag[rows] - 1 for rows in wanted])
         row_of = np.empty(self.total, np.int64)
         row_of[self.ids] = np.arange(self.n)
         self._sends, self._receives = _by_rank([row_of[ids] for ids in asked]), _by_rank(wanted)
-
-    def _list_pairs(self, points: np.ndarray, r0: np.ndarray, w: np.ndarray, W: np.ndarray) -> Pairs:
-        """The pairs with points of this rank, with the rows of both sides and gradients; one side may be of another rank."""
-        s, n = self._sides, len(self._sides.neighbour)
-        sides, seconds = np.zeros((len(points), 2), np.int64), s.pair < 0
-        sides[s.pair[~seconds], 0], sides[~s.pair[seconds], 1] = np.flatnonzero(~seconds), np.flatnonzero(seconds)
-        self._side_sends, self._side_receives, foreign = _by_rank([]), _by_rank([]), 0
-        if (size := self.comm.size) > 1:
-            tag = self._tag
-            pair, which = np.nonzero(points >= self.n)
-            far, near = points[pair, which], points[pair, 1 - which]
-            order = np.lexsort((tag[near], tag[far]))
-            foreign = len(order)
-            sides[pair[order], which[order]] = n + np.arange(foreign)
-            out = np.flatnonzero(s.neighbour >= self.n)
-            out = out[np.lexsort((tag[s.neighbour[out]], tag[self._point[out]]))]
-            there, here = self._owner[s.neighbour[out]], self._owner[far[order]]
-            self._side_sends = _by_rank([out[there == rank] for rank in range(size)])
-            self._side_receives = _by_rank([n + np.flatnonzero(here == rank) for rank in range(size)])
-        gradient = np.zeros((n + foreign, 3))
-        gradient[:n] = s.gradient
-        self._swap(self._side_sends, self._side_receives, gradient)
-        rho, K, G = (self.law[name] for name in ("rho", "K", "G"))
-        c = np.array([sound_speed(*each) for each in zip(rho, K, G, strict=True)])
-        law_of = self._whole_law_of[self._tag[points] - 1]
-        rho, c, E = (of_law[law_of].mean(axis=1) for of_law in (rho, c, 9 * K * G / (3 * K + G)))
-        slope = (rho * self.volume_of_point) ** 2 * (1.0 / rho) * w * r0
-        return Pairs(
-            points.astype(np.uint32), sides.astype(np.uint32), r0, w, W, gradient[sides].reshape(-1, 6), slope, c, E
-        )
+        here = owner[neighbour[self._far]]
+        out = self._far[np.lexsort((tag[neighbour[self._far]], tag[point[self._far]]))]
+        there = owner[neighbour[out]]
+        self._side_sends = _by_rank([out[there == rank] for rank in ranks])
+        self._side_receives = _by_rank([len(neighbour) + np.flatnonzero(here == rank) for rank in ranks])
 
     def _update_stress(self) -> None:
-        failed, m, d = self._failed, self._motion, self._deformation
-        residuals = () if self._residuals is None else (self._residuals,)
+        failed = self._failed
         try:
-            of_points = self.dt, self._special, self._scheme, self._sides, m, d, self._state, *residuals
-            together(self._passes.stress_of_all, self.n, failed, of_points)
+            together(self._passes.stress_of_all, self.n, failed, self._of_stress())
         finally:
             if self.comm.size > 1:
                 self._skip_step()
@@ -168,9 +152,17 @@ class CompiledParticle(Particle):
             point = int(failed[failed >= 0][0])
             reason = DISTORTED if np.isfinite(self.points.J[point]) else UNDEFINED_STRESS
             raise SolverError(self._failure(reason, point))
-        is_last, force = self._steps_left == 0, self._force
-        of_pairs = self.dt, is_last, self._scheme, self._pairs, m, d, self._losses, *residuals, force
-        together(self._passes.forces_of_all, self.n, of_pairs, (self._sides, force, self.points.f))
+        together(self._passes.forces_of_all, self.n, self._of_forces(self._steps_left == 0))
+
+    def _of_stress(self) -> tuple[object, ...]:
+        """Arguments of pass 1 after the range of points."""
+        m, d = self._motion, self._deformation
+        return self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._force
+
+    def _of_forces(self, is_last: bool) -> tuple[object, ...]:
+        """Arguments of pass 2 after the range of points. is_last: last step of a chunk."""
+        m, d, control = self._motion, self._deformation, self._control
+        return self.dt, is_last, self._scheme, self._sides, control, m, d, self._losses, self._force, self.points.f
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. At the end the gradient of the plastic strain of these steps is added to `eps_gradient`, if gradients
@@ -201,11 +193,11 @@ class CompiledParticle(Particle):
             self.sums[1] += warming * (plastic - self._plastic[i])
             self._plastic[i] = plastic
         self.sums[0] = self._plastic.sum()
-        parts = np.zeros((PARTS, 2))
-        together(k.share_losses, self.n, self._sides, self._losses, self._heat, parts)
-        self.sums[2:] += parts.sum(axis=0)
+        work = self._losses.work
+        self.sums[2:] += work.sum(axis=1)
         if self.law["dissipation"].any():
-            self.warm(self._heat)
+            self.warm(work.sum(axis=0))
+        work[:] = self._losses.strength[:] = 0.0
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         super().restore(state, first)
@@ -217,7 +209,8 @@ class CompiledParticle(Particle):
     def _skip_step(self) -> None:
         """Exchange the data that pass 2 of other ranks needs, in a step without pass 2 on this rank."""
         d = self._deformation
-        self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
+        self._swap(self._sends, self._receives, d.F, d.effective[:, None])
+        self._swap(self._side_sends, self._side_receives, self._force)
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
         """Send rows of arrays (k, ...) to other ranks, and overwrite rows with those that arrive."""

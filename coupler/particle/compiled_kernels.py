@@ -1,11 +1,11 @@
-"""Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then forces of each pair.
+"""Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then its force.
 
 The letters are those of the equations (Ganzenmueller 2015, Comput. Methods Appl. Mech. Eng. 286, 87-106): X, x reference and
 present positions; V volume; g_ij = w K^-1 (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i|, K = sum_j w (X_j - X_i) (x) (X_j -
 X_i); F = sum_j (x_j - x_i) (x) g_ij and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated Cauchy stress.
 
-Each kernel works on a range [lo, hi) of points or of pairs and writes only its own rows: any division among threads gives the same
-numbers to the last bit. `particle.model` describes the arrays. SI units.
+Each kernel works on a range [lo, hi) of points and writes only their rows and those of their sides: any division among threads gives
+the same numbers to the last bit. `particle.model` describes the arrays. SI units.
 """
 
 from math import sqrt
@@ -27,9 +27,10 @@ from ..geometry.matrix_kernels import (
 )  # fmt: skip
 from ..geometry.vector_kernels import add, apart, dot, vector_of
 from ..physics.constitutive import Law, harden, hugoniot_pressure, mie_gruneisen, norm, on
-from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides, State
+from .model import Control, Deformation, Losses, Motion, Scheme, Sides, State
 
-LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
+LEAST_POINTS = 100  # in a range of a loop that threads share
+SWEEPS = 30  # of the iteration for a rotation, at most
 TURNED = 1e-14  # rad: with a smaller correction the rotation is exact to rounding
 NEAR = 1e-8  # rad: after a smaller correction the rotation is exact to rounding: the next one would be about its square
 FAR = 0.3  # rad: for a larger first correction the iteration restarts from Newton's polar decomposition
@@ -39,44 +40,47 @@ LEAST_ERROR = 0.05  # smallest hourglass error in the viscous control
 SLOW = 0.01  # largest closing velocity in the viscosity, over the wave speed
 
 
+_inlined = njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING, error_model="numpy")
+
+
+@_inlined
+def correction(A: Matrix) -> tuple[float, float, float, float]:
+    """The rotation vector omega that makes A = R^T F nearly symmetric, and its square: with S = sym A, omega solves
+    (tr(S) 1 - S) omega = axial vector of A."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = A
+    s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
+    W, _ = inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
+    o0, o1, o2 = applied(W, a21 - a12, a02 - a20, a10 - a01)
+    return o0, o1, o2, o0 * o0 + o1 * o1 + o2 * o2
+
+
+@_inlined
+def cayley(o0: float, o1: float, o2: float) -> Matrix:
+    """Rotation 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega."""
+    c = 1.0 / (4.0 + o0 * o0 + o1 * o1 + o2 * o2)
+    x, y, z = 4.0 * c * o0, 4.0 * c * o1, 4.0 * c * o2
+    c *= 2.0
+    return (
+        1.0 - c * (o1 * o1 + o2 * o2), c * o0 * o1 - z, c * o0 * o2 + y,
+        c * o0 * o1 + z, 1.0 - c * (o0 * o0 + o2 * o2), c * o1 * o2 - x,
+        c * o0 * o2 - y, c * o1 * o2 + x, 1.0 - c * (o0 * o0 + o1 * o1),
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
-    """Rotation R and stretch U of F = R U, by iteration from the rotation R of the last step.
-
-    With A = R^T F and S = sym A, omega solves (tr(S) 1 - S) omega = axial vector of A. R <- R Cayley(omega) until omega vanishes.
-    """
+    """Rotation R and stretch U of F = R U, by iteration from the rotation R of the last step: R <- R Cayley(omega) until the
+    `correction` omega of A = R^T F vanishes."""
     A = product(transposed(R), F)
-    for sweep in range(30):
-        a00, a01, a02, a10, a11, a12, a20, a21, a22 = A
-        s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
-        t0, t1, t2 = a21 - a12, a02 - a20, a10 - a01
-        W, _ = inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
-        o0, o1, o2 = applied(W, t0, t1, t2)
-        square = o0 * o0 + o1 * o1 + o2 * o2
+    for sweep in range(SWEEPS):
+        o0, o1, o2, square = correction(A)
         if square < TURNED * TURNED:
             break
-        if sweep == 0 and not square < FAR * FAR:
-            R = polar(F)
-            A = product(transposed(R), F)
-            continue
-        c = 1.0 / (4.0 + square)  # Cayley: 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega
-        x, y, z = 4.0 * c * o0, 4.0 * c * o1, 4.0 * c * o2
-        c *= 2.0
-        R = product(
-            R,
-            (
-                1.0 - c * (o1 * o1 + o2 * o2), c * o0 * o1 - z, c * o0 * o2 + y,
-                c * o0 * o1 + z, 1.0 - c * (o0 * o0 + o2 * o2), c * o1 * o2 - x,
-                c * o0 * o2 - y, c * o1 * o2 + x, 1.0 - c * (o0 * o0 + o1 * o1),
-            ),
-        )  # fmt: skip
+        R = product(R, cayley(o0, o1, o2)) if sweep > 0 or square < FAR * FAR else polar(F)
         A = product(transposed(R), F)
         if square < NEAR * NEAR:
             break
     return R, A
-
-
-_inlined = njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING, error_model="numpy")
 
 
 @_inlined
@@ -149,16 +153,25 @@ def write_stress(stress: Floats, i: int, S: Symmetric, mean: float) -> Symmetric
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, sides: Sides, m: Motion, d: Deformation, state: State
+    lo: int,
+    hi: int,
+    dt: float,
+    laws: Laws,
+    scheme: Scheme,
+    s: Sides,
+    m: Motion,
+    d: Deformation,
+    state: State,
+    b: Floats,
 ) -> int:
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
-    Q receives -V J R sigma U^-1. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator returns to the yield stress
-    of the last step, and the thermal pressure lags by one step.
+    The sides of the points receive b = V J R sigma U^-1 g (s,3) N. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator
+    returns to the yield stress of the last step, and the thermal pressure lags by one step.
     """
     failed = -1
     for i in range(lo, hi):
-        law, F = laws[state.law_of[i]], gradient_of(i, sides, m.x)
+        law, F = laws[state.law_of[i]], gradient_of(i, s, m.x)
         R, U = rotation(F, matrix_of(d.R, i))
         B, J = inverse(U)
         if not J_MIN <= J <= J_MAX and failed < 0:
@@ -166,52 +179,46 @@ def stress_points(
         write_matrix(d.F, i, F)
         write_matrix(d.R, i, R)
         # rate of deformation in the unrotated frame, D = sym(R^T Fdot B) = sym(Udot B)
-        D = product(product(transposed(R), gradient_of(i, sides, m.v)), B)
+        D = product(product(transposed(R), gradient_of(i, s, m.v)), B)
         S = trial(state.stress, i, 2.0 * law.G * dt, D)
         S, _, deps = flow(i, law, S, squared(S), state.sigma_y)
         d.effective[i] = state.sigma_y[i] / scheme.H + deps
         mean = harden_and_press(i, dt, law, J, deps, state)
         xx, xy, xz, yy, yz, zz = write_stress(state.stress, i, S, mean)
         P = product(product(R, (xx, xy, xz, xy, yy, yz, xz, yz, zz)), B)
-        for k in range(9):
-            d.Q[i, k] = -scheme.V * J * P[k]
+        c = scheme.V * J
+        for k in range(s.first[i], s.first[i + 1]):
+            g0, g1, g2 = vector_of(s.gradient, k)
+            b[k, 0], b[k, 1], b[k, 2] = applied(P, c * g0, c * g1, c * g2)
     return failed
 
 
 @_inlined
-def stress_force(k: int, i: int, j: int, gradient: Floats, Q: Floats, f: Vector) -> Vector:
-    """The force f + Q_j g_ji - Q_i g_ij of pair k: `f` plus the force from the stresses of both points."""
-    g = gradient[k]
-    return (
-        f[0] + Q[j, 0] * g[3] + Q[j, 1] * g[4] + Q[j, 2] * g[5] - (Q[i, 0] * g[0] + Q[i, 1] * g[1] + Q[i, 2] * g[2]),
-        f[1] + Q[j, 3] * g[3] + Q[j, 4] * g[4] + Q[j, 5] * g[5] - (Q[i, 3] * g[0] + Q[i, 4] * g[1] + Q[i, 5] * g[2]),
-        f[2] + Q[j, 6] * g[3] + Q[j, 7] * g[4] + Q[j, 8] * g[5] - (Q[i, 6] * g[0] + Q[i, 7] * g[1] + Q[i, 8] * g[2]),
-    )
-
-
-@_inlined
-def viscosity(scheme: Scheme, p: Pairs, k: int, r: float, approach: float) -> tuple[float, float]:
-    """Viscous force (N) of pair k, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
-    c, soft = p.c[k], 1.0 / (r + 0.1 * scheme.h)
+def viscosity(scheme: Scheme, s: Sides, k: int, r: float, approach: float) -> tuple[float, float]:
+    """Viscous force (N) of side k, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
+    c, soft = s.c[k], 1.0 / (r + 0.1 * scheme.h)
     mu = scheme.h * min(max(approach * soft, -SLOW * c), SLOW * c) * soft
-    return p.slope[k] * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
+    return s.slope[k] * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
 
 
 @_inlined
-def hourglass(scheme: Scheme, p: Pairs, k: int, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float) -> float:
-    """MACHDYN's force (N) against the hourglass error e (m) of pair k: viscous in plastic flow, else elastic."""
-    along, r0 = dot(e, x), p.r0[k]
+def hourglass(
+    scheme: Scheme, s: Sides, control: Control, k: int, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float
+) -> float:
+    """MACHDYN's force (N) against the hourglass error e (m) of side k: viscous in plastic flow, else elastic."""
+    along, r0 = dot(e, x), control.r0[k]
     if is_plastic:
         if not mu * along < 0.0:
             return 0.0
-        return -p.slope[k] * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * p.c[k] * mu
+        return -s.slope[k] * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * s.c[k] * mu
     along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) / (r + 0.1 * scheme.h)
-    return -scheme.V * scheme.V * p.W[k] * p.E[k] * scheme.hourglass * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
+    stiffness = scheme.V * scheme.V * control.W[k] * control.E[k] * scheme.hourglass
+    return -stiffness * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
 
 
 @_inlined
 def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """The products x . v_half (m2/s) with x at n and at n+1, for the work of pair forces (`lose`). In the last step of a chunk the
+    """The products x . v_half (m2/s) with x at n and at n+1, for the work of pair forces (`lost`). In the last step of a chunk the
     second one includes the following half step."""
     now = dot(x, v_half)
     before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
@@ -219,41 +226,51 @@ def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) ->
 
 
 @_inlined
-def lose(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> None:
-    """Add the work of a force, dt (f_n + f_n+1) / 2 . v_n+1/2, to the losses of pair k. before, now: `exchanged`."""
-    losses.work[k, kind] += 0.5 * dt * (losses.strength[k, kind] * before + strength * now)
-    losses.strength[k, kind] = strength
+def lost(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> float:
+    """The share of side k, one half, in the work of the force of its pair, dt (f_n + f_n+1) / 2 . v_n+1/2. before, now: `exchanged`."""
+    work = 0.25 * dt * (losses.strength[kind, k] * before + strength * now)
+    losses.strength[kind, k] = strength
+    return work
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def pair_forces(
-    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, p: Pairs, m: Motion, d: Deformation, losses: Losses, force: Floats,
+def point_forces(
+    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, s: Sides, control: Control, m: Motion, d: Deformation,
+    losses: Losses, b: Floats, f: Floats,
 ) -> None:  # fmt: skip
-    """Pass 2: the force on the first point of each pair, force (m,3) N; the force on the second point is opposite.
+    """Pass 2: the forces f (n,3) N on points: b_ij - b_ji, viscosity and hourglass control, the last two along x_j - x_i.
 
-    f = Q_j g_ji - Q_i g_ij + viscosity + hourglass control, the last two along x_j - x_i. The hourglass error is
-    (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half step after it.
+    The hourglass error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half
+    step after it. Both points of a pair compute the same numbers.
     """
-    for k in range(lo, hi):
-        i, j = p.points[k, 0], p.points[k, 1]
-        x, v = apart(m.x, i, j), apart(m.v, i, j)
-        r = sqrt(dot(x, x))
-        viscous, mu = viscosity(scheme, p, k, r, dot(x, v))
-        X0, X1, X2 = apart(m.X, i, j)
-        e = (
-            0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2) - x[0],
-            0.5 * ((d.F[i, 3] + d.F[j, 3]) * X0 + (d.F[i, 4] + d.F[j, 4]) * X1 + (d.F[i, 5] + d.F[j, 5]) * X2) - x[1],
-            0.5 * ((d.F[i, 6] + d.F[j, 6]) * X0 + (d.F[i, 7] + d.F[j, 7]) * X1 + (d.F[i, 8] + d.F[j, 8]) * X2) - x[2],
-        )
-        is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
-        control = hourglass(scheme, p, k, r, x, e, is_plastic, mu)
-        per_length = 1.0 / (r + 0.01 * scheme.h)
-        viscous, control = viscous * per_length, control * per_length
-        before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
-        lose(k, 0, dt, viscous, before, now, losses)
-        lose(k, 1, dt, control, before, now, losses)
-        f, a = stress_force(k, i, j, p.gradient, d.Q, (0.0, 0.0, 0.0)), viscous + control
-        force[k, 0], force[k, 1], force[k, 2] = f[0] + a * x[0], f[1] + a * x[1], f[2] + a * x[2]
+    for i in range(lo, hi):
+        f0 = f1 = f2 = by_viscosity = by_control = 0.0
+        for k in range(s.first[i], s.first[i + 1]):
+            j = s.neighbour[k]
+            x, v = apart(m.x, i, j), apart(m.v, i, j)
+            r = sqrt(dot(x, x))
+            viscous, mu = viscosity(scheme, s, k, r, dot(x, v))
+            X0, X1, X2 = apart(m.X, i, j)
+            e = (
+                0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2)
+                - x[0],
+                0.5 * ((d.F[i, 3] + d.F[j, 3]) * X0 + (d.F[i, 4] + d.F[j, 4]) * X1 + (d.F[i, 5] + d.F[j, 5]) * X2)
+                - x[1],
+                0.5 * ((d.F[i, 6] + d.F[j, 6]) * X0 + (d.F[i, 7] + d.F[j, 7]) * X1 + (d.F[i, 8] + d.F[j, 8]) * X2)
+                - x[2],
+            )
+            is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
+            per_length = 1.0 / (r + 0.01 * scheme.h)
+            viscous = viscous * per_length
+            against = hourglass(scheme, s, control, k, r, x, e, is_plastic, mu) * per_length
+            before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
+            by_viscosity += lost(k, 0, dt, viscous, before, now, losses)
+            by_control += lost(k, 1, dt, against, before, now, losses)
+            own, a = apart(b, s.reverse[k], k), viscous + against
+            f0, f1, f2 = f0 + own[0] + a * x[0], f1 + own[1] + a * x[1], f2 + own[2] + a * x[2]
+        f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
+        losses.work[0, i] += by_viscosity
+        losses.work[1, i] += by_control
 
 
 @njit(cache=True, nogil=True)
@@ -287,44 +304,6 @@ def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def share_losses(team: Ints, n: int, s: Sides, losses: Losses, heat: Floats, sums: Floats) -> None:
-    """Give half of the energy loss of each pair to each of its two points, in all threads. Writes heat (n,) J. Adds to sums (PARTS,2)
-    J, for each part, the losses by viscosity and by hourglass control. Afterwards the losses are zero."""
-    for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
-        for i in range(lo, hi):
-            viscous = control = 0.0
-            for k in range(s.first[i], s.first[i + 1]):
-                row = s.pair[k] if s.pair[k] >= 0 else ~s.pair[k]
-                viscous += 0.5 * losses.work[row, 0]
-                control += 0.5 * losses.work[row, 1]
-            heat[i] = viscous + control
-            sums[part, 0] += viscous
-            sums[part, 1] += control
-    for lo, hi, _ in ranges(team, 1, len(losses.work), LEAST_PAIRS):
-        losses.work[lo:hi] = 0.0
-        losses.strength[lo:hi] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def sum_forces(lo: int, hi: int, s: Sides, force: Floats, f: Floats) -> None:
-    """Write the sum of the pair forces on each point to f (n,3)."""
-    for i in range(lo, hi):
-        f0 = f1 = f2 = 0.0
-        for k in range(s.first[i], s.first[i + 1]):
-            row = s.pair[k]
-            if row >= 0:
-                f0 += force[row, 0]
-                f1 += force[row, 1]
-                f2 += force[row, 2]
-            else:
-                row = ~row
-                f0 -= force[row, 0]
-                f1 -= force[row, 1]
-                f2 -= force[row, 2]
-        f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
-
-
-@njit(cache=True, nogil=True)
 def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
     """Do `stress_points` for n points in all threads. failed (PARTS,): the first point that fails in each part, or -1."""
     for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
@@ -332,9 +311,7 @@ def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
 
 
 @njit(cache=True, nogil=True)
-def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
-    """Do `pair_forces` for all pairs and `sum_forces` for n points, in all threads."""
-    for lo, hi, _ in ranges(team, 0, len(of_pairs[-1]), LEAST_PAIRS):
-        pair_forces(lo, hi, *of_pairs)
-    for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):
-        sum_forces(lo, hi, *of_sum)
+def forces_of_all(team: Ints, n: int, of_points: Arrays) -> None:
+    """Do `point_forces` for n points in all threads."""
+    for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
+        point_forces(lo, hi, *of_points)

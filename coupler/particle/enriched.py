@@ -29,12 +29,12 @@ from ..core.threads import share, together
 from ..errors import SolverError
 from . import enriched_kernels
 from . import frequency as k
+from .blocks import MOST_SIDES
 from .compiled import CompiledParticle, CompiledPoints
 from .inertia import CellInertia
 from .model import Residuals
 from .particle import LocalState
 
-MOST_SIDES = 18  # largest number of neighbours: the two nearest layers of a face-centred cubic lattice
 SECOND_LAYER = 1.65  # spacings: largest distance of a neighbour of a rim point
 FIT_REACH = 1.9  # spacings: distance at which the weight of the quadratic fit is zero
 FITTED = 2000  # rim points fitted at a time, which limits the memory of their matrices
@@ -60,7 +60,7 @@ class EnrichedParticle(CompiledParticle):
     POINTS = EnrichedPoints
     points: EnrichedPoints
     _passes: ClassVar[ModuleType] = enriched_kernels
-    _residuals: Residuals
+    _kinds: ClassVar[int] = 1
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -70,17 +70,14 @@ class EnrichedParticle(CompiledParticle):
             raise SolverError(
                 f"a point has {counts.max()} neighbours, more than {MOST_SIDES}: use a smaller kernel_radius"
             )
-        count, pairs, everyone = len(sides.neighbour), len(self._pairs.points), len(self._tag)
-        foreign = sum(len(rows) for _, rows in self._side_receives)
+        count, everyone = len(sides.neighbour), len(self._tag)
         self._slot = 3 * (np.arange(count) - sides.first[self._point].astype(np.int64))[:, None] + np.arange(3)
-        self._residuals = Residuals(np.zeros((count, 3)), np.zeros((count + foreign, 3)), self.points.unseen)
+        self._residuals = Residuals(np.zeros((count, 3)), self.points.unseen)
         step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
         laws = self.law, self._whole_law_of
         self._inertia = CellInertia(laws, self.volume_of_point, step, sides, self._tag - 1, self.comm.allgather)
         self._random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
-        self._small = k.Small(
-            np.zeros((everyone, 3)), np.zeros((everyone, 9)), np.zeros((count + foreign, 3)), np.zeros((pairs, 3))
-        )
+        self._small = k.Small(np.zeros((everyone, 3)), np.zeros_like(self._force))
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
         self._rim = _one_sided(self._whole, self._scheme.h)[self._tag - 1]
@@ -107,9 +104,16 @@ class EnrichedParticle(CompiledParticle):
             gradient[side] = np.einsum("sij,sj->si", exact[of], fit) / self.spacing
         return gradient
 
+    def _of_stress(self) -> tuple[object, ...]:
+        *others, force = super()._of_stress()
+        return *others, self._residuals, force
+
+    def _of_forces(self, is_last: bool) -> tuple[object, ...]:
+        losses, force, f = self._losses, self._force, self.points.f
+        return self.dt, is_last, self._scheme, self._sides, self._motion, losses, force, f
+
     def _skip_step(self) -> None:
-        super()._skip_step()
-        self._swap(self._side_sends, self._side_receives, self._residuals.force)
+        self._swap(self._side_sends, self._side_receives, self._force)
 
     def _add_inertia(self) -> None:
         if self._inertia.cells:
@@ -156,9 +160,8 @@ class EnrichedParticle(CompiledParticle):
         for _ in range(k.NEXT if before > 0.0 else k.FIRST):
             self._swap(self._sends, self._receives, small.u)
             together(k.linear_stress, n, self.law, self.law_of, self._scheme.V, sides, self._motion.X, F, J, small)
-            self._swap(self._sends, self._receives, small.Q)
-            self._swap(self._side_sends, self._side_receives, small.residual)
-            together(k.linear_forces, n, sides, self._pairs, small, f)
+            self._swap(self._side_sends, self._side_receives, small.force)
+            together(k.linear_forces, n, sides, small.force, f)
             self._inertia.slow(f)
             scale = -1.0 / (self.mass * omega2)
             share(respond, n, k.LEAST_POINTS)

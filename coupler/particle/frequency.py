@@ -14,12 +14,12 @@ from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
 from ..core.loops import ranges
 from ..geometry.matrix_kernels import ZERO, add_outer, applied, inverse, matrix_of, product, transposed
-from ..geometry.vector_kernels import apart, dot
+from ..geometry.vector_kernels import apart, dot, vector_of
 from ..physics.constitutive import bulk_stiffness
 from . import compiled_kernels as k
-from .compiled_kernels import gradient_of, stress_force
+from .compiled_kernels import gradient_of
 from .enriched_kernels import ACROSS
-from .model import Pairs, Sides
+from .model import Sides
 
 FIRST, NEXT = 40, 4  # iterations from a random vector, and from the vector of the last chunk of steps
 LEAST_POINTS = 2000  # in a range of a shared loop
@@ -28,11 +28,9 @@ GRID = 128.0  # steps are powers of 2^(1 / GRID): so they do not depend on the l
 
 
 class Small(NamedTuple):
-    """A small motion u (N,3), and the response of the operator: Q (N,9), residual (sides,3), force (pairs,3), as in `model`."""
+    """A small motion u (N,3), and the response of the operator: force (s,3) of the sides, b in `model`."""
 
     u: Floats
-    Q: Floats
-    residual: Floats
     force: Floats
 
 
@@ -53,46 +51,43 @@ def stiffness_points(lo: int, hi: int, s: Sides, F: Floats, stiffness: Floats) -
 def linear_stress(
     team: Ints, n: int, laws: Laws, law_of: Ints, V: float, sides: Sides, X: Floats, F: Floats, J: Floats, small: Small
 ) -> None:
-    """Pass 1 of `compiled_kernels` with residuals, linearised about F (N,9) and J (n,): write Q and residual of the small motion u of
-    n points to `small`, in all threads. law_of (n,): law of each point."""
+    """Pass 1 of `enriched_kernels`, linearised about F (N,9) and J (n,): write the forces of the sides for the small motion u of n
+    points to `small`, in all threads. law_of (n,): law of each point."""
     for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
         for i in range(lo, hi):
             law = laws[law_of[i]]
             G = law.G
             f = gradient_of(i, sides, small.u)
-            span = 0.0
+            span, H = 0.0, ZERO
             for row in range(sides.first[i], sides.first[i + 1]):
-                d = apart(X, i, sides.neighbour[row])
-                span += sides.w[row] * dot(d, d)
-            H, spring = ZERO, V * ACROSS * G / span
-            for row in range(sides.first[i], sides.first[i + 1]):
-                d, u = apart(X, i, sides.neighbour[row]), apart(small.u, i, sides.neighbour[row])
-                c = spring * sides.w[row]
+                d, u, w = apart(X, i, sides.neighbour[row]), apart(small.u, i, sides.neighbour[row]), sides.w[row]
                 e = (
-                    c * (u[0] - f[0] * d[0] - f[1] * d[1] - f[2] * d[2]),
-                    c * (u[1] - f[3] * d[0] - f[4] * d[1] - f[5] * d[2]),
-                    c * (u[2] - f[6] * d[0] - f[7] * d[1] - f[8] * d[2]),
+                    w * (u[0] - f[0] * d[0] - f[1] * d[1] - f[2] * d[2]),
+                    w * (u[1] - f[3] * d[0] - f[4] * d[1] - f[5] * d[2]),
+                    w * (u[2] - f[6] * d[0] - f[7] * d[1] - f[8] * d[2]),
                 )
-                small.residual[row, 0], small.residual[row, 1], small.residual[row, 2] = e
-                H = add_outer(H, e, d)
+                small.force[row, 0], small.force[row, 1], small.force[row, 2] = e
+                span, H = span + w * dot(d, d), add_outer(H, e, d)
             B, _ = inverse(matrix_of(F, i))
             e00, e01, e02, e10, e11, e12, e20, e21, e22 = product(f, B)
             mean = (bulk_stiffness(law, J[i]) * J[i] - 2.0 / 3.0 * G) * (e00 + e11 + e22)
             xy, xz, yz = G * (e01 + e10), G * (e02 + e20), G * (e12 + e21)
             sigma = mean + 2.0 * G * e00, xy, xz, xy, mean + 2.0 * G * e11, yz, xz, yz, mean + 2.0 * G * e22
-            P = product(sigma, transposed(B))
-            for r in range(9):
-                small.Q[i, r] = -V * J[i] * P[r] + H[r]
+            P, c, spring = product(sigma, transposed(B)), V * J[i], V * ACROSS * G / span
+            for row in range(sides.first[i], sides.first[i + 1]):
+                g, e = vector_of(sides.gradient, row), vector_of(small.force, row)
+                for r in range(3):
+                    q = (c * P[3 * r] - spring * H[3 * r]) * g[0] + (c * P[3 * r + 1] - spring * H[3 * r + 1]) * g[1]
+                    small.force[row, r] = spring * e[r] + q + (c * P[3 * r + 2] - spring * H[3 * r + 2]) * g[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def linear_forces(team: Ints, n: int, sides: Sides, p: Pairs, small: Small, total: Floats) -> None:
-    """Pass 2 of `compiled_kernels` without viscosity: write forces to `small`, and their sums at n points to total (n,3), in all
-    threads."""
-    for lo, hi, _ in ranges(team, 0, len(p.points), k.LEAST_PAIRS):
-        for row in range(lo, hi):
-            residual = apart(small.residual, p.sides[row, 1], p.sides[row, 0])
-            f = stress_force(row, p.points[row, 0], p.points[row, 1], p.gradient, small.Q, residual)
-            small.force[row, 0], small.force[row, 1], small.force[row, 2] = f
-    for lo, hi, _ in ranges(team, 1, n, k.LEAST_POINTS):
-        k.sum_forces(lo, hi, sides, small.force, total)
+@njit(cache=True, nogil=True)
+def linear_forces(team: Ints, n: int, sides: Sides, b: Floats, f: Floats) -> None:
+    """Pass 2 of `enriched_kernels` without viscosity: write forces to f (n,3), in all threads."""
+    for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
+        for i in range(lo, hi):
+            f0 = f1 = f2 = 0.0
+            for row in range(sides.first[i], sides.first[i + 1]):
+                own = apart(b, sides.reverse[row], row)
+                f0, f1, f2 = f0 + own[0], f1 + own[1], f2 + own[2]
+            f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2

@@ -2,7 +2,8 @@
 neighbours on other ranks.
 
 The letters are those of the equations in `particle.compiled_kernels`. A side is one point of a pair with the other as its
-neighbour: each pair has two sides. SI units.
+neighbour: each pair has two sides. The force on point i by point j is b_ij - b_ji and the forces along x_j - x_i, where b (s,3) N, s:
+number of sides of this rank and then of other ranks, depends on the state of one point only. SI units.
 """
 
 from typing import NamedTuple
@@ -23,30 +24,28 @@ class Scheme(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] of the arrays (sides,); first (n+1,). neighbour: number
-    of the neighbour; pair: row of the pair, ~row if i is the second point of the pair; w (1/m5): W'/r; gradient (sides,3) 1/m: g."""
+    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] of the arrays (sides,); first (n+1,).
+
+    neighbour: number of the neighbour; reverse: row of the other side of the pair, sides of other ranks after the own ones; w (1/m5):
+    W'/r; gradient (sides,3) 1/m: g. For the mean of both materials: slope (kg/m): factor W' m^2 / rho of MACHDYN's forces; c (m/s):
+    longitudinal wave speed.
+    """
 
     first: Ints
     neighbour: Ints
-    pair: Ints
+    reverse: Ints
     w: Floats
-    gradient: Floats
-
-
-class Pairs(NamedTuple):
-    """Pairs of points. points (m,2): first and second point; sides (m,2): rows of their sides, sides of other ranks after the own
-    ones; r0 m, w 1/m5, W 1/m3 (m,): distance, W'/r and W in the reference configuration; gradient (m,6) 1/m: g_ij and g_ji. For the
-    mean of both materials: slope (m,) kg/m: factor W' m^2 / rho of MACHDYN's forces; c (m/s), E (Pa) (m,): longitudinal wave speed
-    and Young's modulus."""
-
-    points: Ints
-    sides: Ints
-    r0: Floats
-    w: Floats
-    W: Floats
     gradient: Floats
     slope: Floats
     c: Floats
+
+
+class Control(NamedTuple):
+    """What MACHDYN's hourglass control knows of the sides (sides,): distance r0 (m) and W (1/m3) in the reference configuration, and
+    Young's modulus E (Pa), the mean of both materials."""
+
+    r0: Floats
+    W: Floats
     E: Floats
 
 
@@ -60,12 +59,11 @@ class Motion(NamedTuple):
 
 
 class Deformation(NamedTuple):
-    """Deformation gradients F (N,9) and their rotations R (n,9), row by row; Q (N,9) J: minus the derivative of a point's energy by F,
-    the forces are Q g; effective (N,): sigma_y / H plus the plastic strain of the step, which selects MACHDYN's hourglass control."""
+    """Deformation gradients F (N,9) and their rotations R (n,9), row by row; effective (N,): sigma_y / H plus the plastic strain of the
+    step, which selects MACHDYN's hourglass control."""
 
     F: Floats
     R: Floats
-    Q: Floats
     effective: Floats
 
 
@@ -88,17 +86,16 @@ class State(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Losses of m pairs; columns: viscosity, hourglass control. strength (m,2) N/m: force divided by distance in the last step, zero
-    before the first step of a chunk; work (m,2) J: energy dissipated in the chunk."""
+    """Losses by viscosity (row 0) and hourglass control (row 1). strength (1 or 2,sides) N/m: force of each side divided by distance in
+    the last step, zero before the first step of a chunk; work (2,n) J: energy dissipated in the chunk, half of each pair at each of
+    its points."""
 
     strength: Floats
     work: Floats
 
 
 class Residuals(NamedTuple):
-    """Residuals of sides. plastic (sides,3) m: e_p; force (s,3) N: force of own sides, then of sides of other ranks; unseen (n,)
-    J/m3: elastic energy."""
+    """Residuals of sides. plastic (sides,3) m: e_p; unseen (n,) J/m3: elastic energy."""
 
     plastic: Floats
-    force: Floats
     unseen: Floats

@@ -153,7 +153,7 @@ def test_points_see_a_linear_strain(engine: str) -> None:
     for rotation, F in ((np.eye(3), np.eye(3)), (R, R), (R, R @ stretched)):
         out = np.zeros((p.n, 3))
         rows = [np.tile(A.ravel(), (p.n, 1)) for A in (F, rotation)]
-        grow_gradients(p.n, 1.0 + p.X @ SLOPE, p._sides, Deformation(*rows, np.empty((0, 9)), np.empty(0)), out)
+        grow_gradients(p.n, 1.0 + p.X @ SLOPE, p._sides, Deformation(*rows, np.empty(0)), out)
         U = rotation.T @ F
         assert out == pytest.approx(np.tile(np.linalg.solve(U, SLOPE), (p.n, 1)), rel=1e-6)
     p.points.eps_gradient[:] = SLOPE

@@ -55,7 +55,7 @@ def test_a_line_is_the_kinetic_energy_that_its_forces_take(
 ) -> None:
     """Points without stiffness: one of the two forces alone brings them to rest against each other, and its line is the loss."""
     p = ball(E=1.0, **numerics)
-    p._pairs = p._pairs._replace(c=np.full_like(p._pairs.c, 5000.0))  # both forces are proportional to it
+    p._sides = p._sides._replace(c=np.full_like(p._sides.c, 5000.0))  # both forces are proportional to it
     move(p, p.X * np.array([4e5, 3e5, -6e5]) + 2.0 * np.random.default_rng(3).normal(size=p.X.shape))
     start = p.totals().kinetic
     for _ in range(20):
