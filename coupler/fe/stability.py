@@ -17,7 +17,9 @@ from ..core.arrays import Floats, Ints, Links
 from ..core.loops import ranges
 from ..core.records import Shape
 from ..core.threads import share, together
+from ..geometry.matrix_kernels import product, scaled, transposed
 from ..geometry.tetrahedra import lumped
+from ..geometry.vector_kernels import apart
 from ..physics.constitutive import bulk_stiffness
 from .blocks import edge_cofactors
 from .inertia import ElementInertia
@@ -71,33 +73,22 @@ def _forces(lo: int, hi: int, x: Floats, c: Cells, metals: Metals, r: Response) 
         n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
         law = metals.laws[metals.of_element[e]]
         c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
-        i = 1.0 / det
-        g = np.empty((3, 3))
-        for d in range(3):
-            u, v, z = w[n1, d] - w[n0, d], w[n2, d] - w[n0, d], w[n3, d] - w[n0, d]
-            g[d, 0] = (u * c00 + v * c10 + z * c20) * i
-            g[d, 1] = (u * c01 + v * c11 + z * c21) * i
-            g[d, 2] = (u * c02 + v * c12 + z * c22) * i
-        third = (g[0, 0] + g[1, 1] + g[2, 2]) / 3.0
+        C = c00, c01, c02, c10, c11, c12, c20, c21, c22
+        edges = (*apart(w, n0, n1), *apart(w, n0, n2), *apart(w, n0, n3))
+        g00, g01, g02, g10, g11, g12, g20, g21, g22 = scaled(1.0 / det, product(transposed(edges), C))
         mean = 0.25 * (dp[n0] + dp[n1] + dp[n2] + dp[n3])
         J = det / 6.0 / c.V0[e]
         beyond = shape_strain(J)
         if beyond != 0.0:
             mean += SHAPE_STIFFNESS * law.K * max(1.0 - beyond, 0.0) / (J * J) * r.dv[e] / c.V0[e]
-        G = law.G
-        sxx = 2 * G * (g[0, 0] - third) + mean
-        syy = 2 * G * (g[1, 1] - third) + mean
-        szz = 2 * G * (g[2, 2] - third) + mean
-        syz, sxz, sxy = G * (g[1, 2] + g[2, 1]), G * (g[0, 2] + g[2, 0]), G * (g[0, 1] + g[1, 0])
-        q0 = q1 = q2 = 0.0
-        for k, (cx, cy, cz) in enumerate(((c00, c01, c02), (c10, c11, c12), (c20, c21, c22))):
-            bx, by, bz = cx / 6.0, cy / 6.0, cz / 6.0
-            h0, h1, h2 = sxx * bx + sxy * by + sxz * bz, sxy * bx + syy * by + syz * bz, sxz * bx + syz * by + szz * bz
-            fe[e, k + 1, 0], fe[e, k + 1, 1], fe[e, k + 1, 2] = h0, h1, h2
-            q0 -= h0
-            q1 -= h1
-            q2 -= h2
-        fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
+        G, mean = law.G, mean - 2.0 / 3.0 * law.G * (g00 + g11 + g22)
+        yz, xz, xy = G * (g12 + g21), G * (g02 + g20), G * (g01 + g10)
+        sigma = 2.0 * G * g00 + mean, xy, xz, xy, 2.0 * G * g11 + mean, yz, xz, yz, 2.0 * G * g22 + mean
+        h10, h11, h12, h20, h21, h22, h30, h31, h32 = scaled(1.0 / 6.0, product(C, sigma))
+        fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = -h10 - h20 - h30, -h11 - h21 - h31, -h12 - h22 - h32
+        fe[e, 1, 0], fe[e, 1, 1], fe[e, 1, 2] = h10, h11, h12
+        fe[e, 2, 0], fe[e, 2, 1], fe[e, 2, 2] = h20, h21, h22
+        fe[e, 3, 0], fe[e, 3, 1], fe[e, 3, 2] = h30, h31, h32
 
 
 @njit(cache=True, nogil=True)
