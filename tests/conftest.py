@@ -90,11 +90,11 @@ def _shared_meshes(of_all_workers: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
-    """The particle of a picture has 120 pixels: of 500 each cut costs .4 s; and files are packed a little: to pack them well costs as
+    """The particle of a picture has 120 pixels: with 500, each costs .4 s; and files are packed a little: to pack them well costs as
     much as to draw. Programs that tests start have all of both."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(FigureCanvasAgg.print_png.__kwdefaults__, "pil_kwargs", {"compress_level": 1})
-        patch.setattr(picture.cut, "__defaults__", (120,))
+        patch.setattr(picture.cross_section, "__defaults__", (120,))
         patch.setattr(animation, "PIXELS", 120)
         patch.setattr(page, "PICTURE_PIXELS", 120)
         yield

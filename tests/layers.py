@@ -3,7 +3,7 @@
 import numpy as np
 
 from coupler.geometry.tetrahedra import volumes
-from coupler.properties.block import Block, cut_out
+from coupler.properties.block import Block, extract_block
 
 UM = 1e-6
 
@@ -38,4 +38,6 @@ def stack(
     at_nodes = np.stack([near * (joint == "bonded"), near * (joint == "touching")], axis=1).astype(float)
     corner = np.array([side / 2, side / 2, 0.0])
     top = np.array([0.0, 0.0, z])
-    return cut_out(x, np.concatenate(tets), np.concatenate(body), at_nodes, -corner, corner + top, 1e-2 * side / n)
+    return extract_block(
+        x, np.concatenate(tets), np.concatenate(body), at_nodes, -corner, corner + top, 1e-2 * side / n
+    )

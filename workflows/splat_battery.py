@@ -93,7 +93,7 @@ def part(rows: Sequence[Row]) -> list[str]:
 
 
 def draw() -> None:
-    """Points and mesh of three clouds, cut at y = 0 and coloured by plastic strain."""
+    """Points and mesh of three clouds, in cross-section at y = 0, coloured by plastic strain."""
     makers = splat_clouds.every()
     clouds = {label: makers[name][1]() for name, label in DRAWN.items()}
     most = max(float(np.percentile(cloud.eps_p, 99)) for cloud in clouds.values() if cloud.eps_p is not None)

@@ -14,7 +14,7 @@ from study_table import Row, column, number, table_rows
 from coupler import Result
 from coupler.report.fields import FIELDS
 from coupler.report.figure import blank, save
-from coupler.report.picture import View, colour_bar, colour_range, cut, draw, scale_bar, stage
+from coupler.report.picture import View, colour_bar, colour_range, cross_section, draw, scale_bar, stage
 from coupler.report.profiles import profiles
 
 AXIS = "validation_axis"  # the table of the curves
@@ -46,11 +46,11 @@ def axis_rows(name: str, result: Result) -> list[dict[str, object]]:
 
 
 def draw_sections(axes: NDArray, runs: Mapping[str, Result], view: View, names: Sequence[str]) -> None:
-    """Draw the cuts of runs at their end, a run a column, a field a row. runs: by words above; axes (rows, runs + 1)."""
-    cuts = [cut(result, -1, names, stage(result), view) for result in runs.values()]
+    """Draw the sections of runs at their end, a run a column, a field a row. runs: by words above; axes (rows, runs + 1)."""
+    sections = [cross_section(result, -1, names, stage(result), view) for result in runs.values()]
     for row, name in zip(axes, names, strict=True):
-        ends = colour_range(cuts, name)
-        for axis, section in zip(row[:-1], cuts, strict=True):
+        ends = colour_range(sections, name)
+        for axis, section in zip(row[:-1], sections, strict=True):
             draw(axis, section, name, ends)
         colour_bar(row[-1], name, ends, 1.9)
     for axis, words in zip(axes[0], runs, strict=False):

@@ -78,11 +78,11 @@ def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.9
     area = np.zeros(levels)
     for n, z in enumerate(0.5 * (edges[1:] + edges[:-1])):
         above = corners[..., 2] > z
-        cut = corners[above.any(axis=1) & ~above.all(axis=1)]
-        there = np.roll(cut, -1, axis=1)
-        part = (z - cut[..., 2]) / (there[..., 2] - cut[..., 2] + 1e-300)
-        place = cut[..., :2] + part[..., None] * (there - cut)[..., :2]
-        up, down = (cut[..., 2] <= z) & (there[..., 2] > z), (cut[..., 2] > z) & (there[..., 2] <= z)
+        crossed = corners[above.any(axis=1) & ~above.all(axis=1)]
+        there = np.roll(crossed, -1, axis=1)
+        part = (z - crossed[..., 2]) / (there[..., 2] - crossed[..., 2] + 1e-300)
+        place = crossed[..., :2] + part[..., None] * (there - crossed)[..., :2]
+        up, down = (crossed[..., 2] <= z) & (there[..., 2] > z), (crossed[..., 2] > z) & (there[..., 2] <= z)
         p, q = place[up], place[down]  # one of each in a triangle: from p to q the section goes round the body
         area[n] = 0.5 * float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum())
     below = np.concatenate([[0.0], np.cumsum(area)])
@@ -189,15 +189,15 @@ def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
     substrate, x = scene.substrate, untouched.points
     faces = boundary_faces(untouched.cells)
     corners = x[faces]
-    cut = np.zeros(len(faces), bool)
+    at_limit = np.zeros(len(faces), bool)
     for name, on in (
         ("bottom", corners[:, :, 2] < x[:, 2].min() + 1e-9),
         ("sides", np.hypot(corners[:, :, 0], corners[:, :, 1]) > 0.5 * substrate.diameter * (1.0 - 1e-6)),
     ):
-        cut |= on.all(axis=1) & (getattr(substrate, name) == "half_space")
-    if not cut.any():
+        at_limit |= on.all(axis=1) & (getattr(substrate, name) == "half_space")
+    if not at_limit.any():
         return 0.0
-    own = corners[cut]
+    own = corners[at_limit]
     normal = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
     area = 0.5 * np.linalg.norm(normal, axis=1)
     normal /= 2.0 * area[:, None]

@@ -26,7 +26,7 @@ _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_CUT_OFF = "the file is damaged or incomplete: write it again"
+_DAMAGED = "the file is damaged or incomplete: write it again"
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
 Column = tuple[str, str, str]  # property in PLY: name, type of its values, type of their count or "" for one value
@@ -57,7 +57,7 @@ def _stl(raw: bytes) -> Surface:
     if (facets := len(_FACET.findall(lines))) > 0:
         corners = np.array([[float(word) for word in words] for words in _VERTEX.findall(lines)]).reshape(-1, 3)
         if len(corners) != 3 * facets:
-            raise ValueError(f"it has {len(corners)} corners for {facets} facets; {_CUT_OFF}")
+            raise ValueError(f"it has {len(corners)} corners for {facets} facets; {_DAMAGED}")
     else:
         count = int.from_bytes(raw[80:_HEAD], "little")
         room = (len(raw) - _HEAD) // _STL.itemsize
@@ -65,7 +65,7 @@ def _stl(raw: bytes) -> Surface:
             raise ValueError("it is not a text STL with facets, and too short for a binary STL")
         if not room - 1 <= count <= room:
             raise ValueError(
-                f"the header states {count} triangles, but the size of the file is that of {room}; {_CUT_OFF}"
+                f"the header states {count} triangles, but the size of the file is that of {room}; {_DAMAGED}"
             )
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
     return _triangles(corners, np.arange(len(corners)).reshape(-1, 3).tolist())
@@ -131,7 +131,7 @@ class _Body:
         """The next values (count,) of a type. Raises ValueError if the file has fewer."""
         length = count * (dtype.itemsize if self.order else 1)
         if not 0 <= length <= len(self.values) - self.at:
-            raise ValueError(f"it has fewer values than its header states; {_CUT_OFF}")
+            raise ValueError(f"it has fewer values than its header states; {_DAMAGED}")
         part = self.values[self.at : self.at + length]
         self.at += length
         return part.view(dtype) if self.order else part.astype(float)
@@ -161,12 +161,12 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
         if len(polygon) < 3 or not (min(polygon) >= 0 and max(polygon) < len(x)):
             outside = f"with an index outside its {len(x)} points"
             raise ValueError(f"it has a face of fewer than three points, or {outside}")
-    cut = [triangle for polygon in polygons for triangle in _cut([int(i) for i in polygon], x)]
-    return x, np.array(cut, np.int64).reshape(-1, 3)
+    triangles = [triangle for polygon in polygons for triangle in _triangulated([int(i) for i in polygon], x)]
+    return x, np.array(triangles, np.int64).reshape(-1, 3)
 
 
-def _cut(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
-    """Triangles that fill a plane polygon of points x (n,3), also a concave one: cut off at convex corners ("ears"; Meisters 1975)."""
+def _triangulated(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]:
+    """Triangles that fill a plane polygon of points x (n,3), also a concave one: divided at convex corners ("ears"; Meisters 1975)."""
     triangles: list[list[int]] = []
     while len(polygon) > 3:
         ring = x[polygon] - x[polygon[0]]

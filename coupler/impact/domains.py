@@ -78,8 +78,8 @@ def build_target(plan: Plan) -> Bodies:
     fixed, absorbing, on = t.faces("fixed"), t.faces("absorbing"), plan.effects
     at = plan.impacts[0].offset
     mesh = prepare(points, tets, (*at, float(t.heights(np.array([at]))[0])))
-    if cut := t.faces("half_space"):
-        mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
+    if half_space := t.faces("half_space"):
+        mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in half_space])
         mesh = replace(mesh, axis=np.array(t.centre))
     target = Target(mesh, law_of(t.material), t.temperature, fixed=fixed, absorbing=absorbing, conduction=on.conduction)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
@@ -88,7 +88,7 @@ def build_target(plan: Plan) -> Bodies:
         disc = partial(mesher.cylinder, t.diameter, thickness, *sizes[2:], spread=t.spread, below=max(below, 0.0))
         layer = _layer(*apart(disc, MESHING_LIMIT), law_of(metal), t)
         bodies = bodies.joined([layer], Adhesion(kind="tied"), t.element_size, (*at, 0.0), None, 0)
-    return _with_faces(bodies, cut) if t.layers else bodies
+    return _with_faces(bodies, half_space) if t.layers else bodies
 
 
 def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan) -> BodyState:

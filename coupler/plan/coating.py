@@ -23,7 +23,7 @@ from .powder import sizes_of
 
 STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
 _CANDIDATES = 20  # random positions; an "even" layer uses the one farthest from its other positions
-_CUT = 2.0  # limit of the velocity, in standard deviations
+_TRUNCATED = 2.0  # limit of the velocity, in standard deviations
 _BROADER = 3.0  # default limits of the diameter, in standard deviations of the logarithm
 _MIDDLE = 0.05, 0.95  # cumulative mass fractions of the smallest and largest particles, with sizes by mass
 _CLASSES = 200  # of equal mass or number
@@ -171,7 +171,7 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
     """A random particle of a powder. place: x, y (m) of its centre."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
-    low = NormalDist().cdf(-_CUT)
+    low = NormalDist().cdf(-_TRUNCATED)
     off = NormalDist().inv_cdf(low + dice.random() * (1.0 - 2.0 * low))
     u, tilt = dice.random(), 180.0 * dice.random() - 90.0
     names = [name for name, share in table.shapes.items() if share > 0]

@@ -26,7 +26,7 @@ def spot_of(path: GunPath, folder: Path) -> Spot:
     the field."""
     if path.distribution == "uniform":
         return Spot.of_points(np.array([0.0, 0.5 * path.spot]), np.ones(2))
-    if path.distribution == "gaussian":  # cut at four standard deviations, where 3e-4 of the mass are outside
+    if path.distribution == "gaussian":  # truncated at four standard deviations, where 3e-4 of the mass are outside
         r = np.linspace(0.0, 1.0, 1001)
         return Spot.of_points(r * path.spot, np.exp(-8.0 * r**2))
     try:

@@ -29,8 +29,8 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
     lines = [
         f"{plan.name} ({plan.preset})",
         *_impacts(plan, _FEW if brief else _MOST_LINES),
-        *_cut(_shapes(plan), brief),
-        *_cut([*plan.gas], brief),
+        *_shortened(_shapes(plan), brief),
+        *_shortened([*plan.gas], brief),
         *([fill(plan.spray, 119, initial_indent="  spray      ", subsequent_indent=" " * 13)] if plan.spray else []),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
@@ -103,7 +103,7 @@ def _note(warning: str, brief: bool) -> list[str]:
     return lines
 
 
-def _cut(lines: list[str], brief: bool) -> list[str]:
+def _shortened(lines: list[str], brief: bool) -> list[str]:
     """The lines; with `brief` only the first of them."""
     return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
 

@@ -11,7 +11,7 @@ from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors, compact
 
 EDGES = np.array(list(combinations(range(4), 2)))
-SNAP = 0.02  # element sizes: nodes that near a face of the block are put on it, so that no sliver is cut off
+SNAP = 0.02  # element sizes: nodes that near a face of the block are put on it, so that no sliver is left
 SLIVER = 1e-9  # element sizes cubed: less volume have elements that those nodes have made flat: they are left out
 
 
@@ -61,7 +61,7 @@ class Block:
         return float(volumes(self.points, self.tets).sum()) / self.volume
 
 
-def cut_out(
+def extract_block(
     points: NDArray, tets: NDArray, body: NDArray, at_nodes: NDArray, low: NDArray, high: NDArray, size: float
 ) -> Block:
     """The block between the corners low and high (3,) m of a mesh with several bodies.
@@ -98,9 +98,9 @@ def clip(
     their numbers, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
     """
     ends = np.sort(tets[:, EDGES], axis=-1).reshape(-1, 2)
-    cut = ends[off[ends].prod(axis=1) < 0.0]
+    crossing = ends[off[ends].prod(axis=1) < 0.0]
     n = len(points)
-    keys = np.unique(cut[:, 0] * n + cut[:, 1])
+    keys = np.unique(crossing[:, 0] * n + crossing[:, 1])
     a, b = np.divmod(keys, n)
     share = (off[a] / (off[a] - off[b]))[:, None]
     points = np.concatenate([points, points[a] + share * (points[b] - points[a])])
@@ -137,7 +137,7 @@ def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float
         normal = area_vectors(points, triangles)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         kept = (pairs.area > 0.0) & (bonded | touches)
-        # where a cut is near, some of the node is bonded
+        # where a face is near, some of the node is bonded
         law = at_nodes[pairs.nodes, 2:] / np.maximum(at_nodes[pairs.nodes, :1], 0.5)
         joints = Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law)
         found.append(joints.only(kept))

@@ -17,7 +17,7 @@ from ..plan.record import read_plan
 from ..studies.coating import COLUMN, SeedError, disc_radius, read
 from ..studies.coating_seeds import seed_error
 from ..studies.splats import Columns, Splats
-from .block import Block, cut_out
+from .block import Block, extract_block
 from .homogenise import Problem, conducting, elastic
 
 # Conductance of facets that touch through their oxide films, greatest and least, W/(m2 K): two interfaces of metal and oxide in series,
@@ -85,9 +85,9 @@ def properties(
     """
     _, splats, metals = cold_coating(result)
     low, high, open_share = corners(splats, side, heights)
-    whole, half = cut(splats, metals, low, high), 0.5 * (high - low) * [1.0, 1.0, 0.0]
+    whole, half = extract_sample(splats, metals, low, high), 0.5 * (high - low) * [1.0, 1.0, 0.0]
     sides = [half * [i, j, 0.0] for i in (0.0, 1.0) for j in (0.0, 1.0)] if whole.splats >= 4.0 * LEAST_SPLATS else []
-    quarters = [cut(splats, metals, low + aside, high - half + aside) for aside in sides]
+    quarters = [extract_sample(splats, metals, low + aside, high - half + aside) for aside in sides]
     return _measured(whole, quarters, CONDUCTANCE if conductance is None else (conductance, conductance), open_share)
 
 
@@ -149,7 +149,7 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
     return np.array([-half, -half, bottom]), np.array([half, half, roof]), float((top < roof).mean())
 
 
-def cut(
+def extract_sample(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
     """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
@@ -166,7 +166,7 @@ def cut(
         )
     marks = [mesh.data["bonded"] > 0, mesh.data["touching"] > 0, *(() if law is None else law.T)]
     at_nodes = np.stack(marks, axis=1).astype(float)
-    block = cut_out(mesh.points, mesh.cells[own], splats.body[own], at_nodes, low, high, splats.element_size)
+    block = extract_block(mesh.points, mesh.cells[own], splats.body[own], at_nodes, low, high, splats.element_size)
     return Sample(block, metals, held)
 
 

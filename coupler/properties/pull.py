@@ -28,7 +28,7 @@ from ..physics.constitutive import law_record, yield_stresses
 from ..report.figure import blank, save
 from ..studies.table import write_rows
 from .block import Block
-from .measure import Sample, cold_coating, corners, cut
+from .measure import Sample, cold_coating, corners, extract_sample
 
 # Strength times thickness of the film over the central value: range of Ni, Cu, Al (docs/theory/bonds.md)
 FILM = (1.0, 0.4, 2.0)
@@ -90,7 +90,7 @@ def strengths(
     lowest, found = float(splats.mesh.points[of_splats, 2].min()) - 2.0 * splats.element_size, []
     for direction in directions:
         first = 0 if direction == "adhesion" else 1  # body of the block
-        sample = cut(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
+        sample = extract_sample(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
         each, ground = films if law is not None else (None,), int(np.count_nonzero(splats.impact == 0))
@@ -188,7 +188,7 @@ class Machine:
 
 def _turning(bond: Bond, x: NDArray) -> Bond:
     """Bonds with weights that bound how far each corner of a facet moves the point of the bond across a gap: the facet turns by the
-    motion of a corner over its height, which is small where a face of the block has cut the facet. x (n,3) m."""
+    motion of a corner over its height, which is small where a face of the block crosses the facet. x (n,3) m."""
     corners = x[bond.triangles]
     opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     twice = 2.0 * np.linalg.norm(area_vectors(x, bond.triangles), axis=1)[:, None]

@@ -16,7 +16,7 @@ from PIL import Image
 from ..errors import StoreError
 from ..files.outputs import MARK, replacing
 from ..files.result import Result
-from .picture import colour_range, cut, drawable, panels, stage, stored_steps, view
+from .picture import colour_range, cross_section, drawable, panels, stage, stored_steps, view
 from .words import title
 
 SECONDS = 4.0  # approximate length of a film
@@ -57,10 +57,10 @@ def frames(result: Result, field: str, told: Callable[[str], None] = lambda text
     """The pictures (rows, columns, 3) of the animation, of one size, with even numbers of rows and columns, as a video requires."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
-    cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
-    ranges, heading = {field: colour_range(cuts, field)}, title(result)
-    for number, section in enumerate(cuts, 1):
-        told(f"picture {number} of {len(cuts)}")
+    sections = [cross_section(result, step, (field,), at, seen, PIXELS) for step in steps]
+    ranges, heading = {field: colour_range(sections, field)}, title(result)
+    for number, section in enumerate(sections, 1):
+        told(f"picture {number} of {len(sections)}")
         canvas = FigureCanvasAgg(panels(section, ranges, heading))
         canvas.draw()
         picture = np.asarray(canvas.buffer_rgba())[..., :3]

@@ -87,23 +87,23 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
     empty = [str(result.directory) for result in results if not picture.drawable(result)]
     if empty or not names:
         raise StoreError(f"{', '.join(empty) or 'the runs'}: no stored step with temperature or plastic strain to draw")
-    cuts, (half, low, high) = _cuts(results, names)
+    sections, (half, low, high) = _sections(results, names)
 
     wide, margin, bar = 3.6, 0.12, 1.0  # inches
     tall = wide * (high - low) / (2 * half)
-    width, height = len(cuts) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75
+    width, height = len(sections) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75
     figure = blank(width, height, dpi=150)
     for row, name in enumerate(names):
-        ends = picture.colour_range(cuts, name)
+        ends = picture.colour_range(sections, name)
         bottom = height - 0.7 - (row + 1) * tall - row * margin
-        for k, section in enumerate(cuts):
+        for k, section in enumerate(sections):
             axis = axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
             picture.draw(axis, section, name, ends)
             if row == 0:
                 picture.scale_bar(axis, section.view, 10)
         place = axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall)
         picture.colour_bar(place, name, ends, 0.96 * tall)
-    for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
+    for k, (name, result, section) in enumerate(zip(names_of(results), results, sections, strict=True)):
         left = (margin + k * (wide + margin)) / width
         figure.text(left, 1 - 0.25 / height, name, fontsize=11, weight="bold", va="center", parse_math=False)
         caption = f"{title(result)}, t = {section.time * 1e9:.1f} ns"
@@ -129,7 +129,7 @@ def comparison_page(results: Sequence[Result]) -> str:
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
     image = f'<img src="{embedded(comparison_picture(results))}" alt="cross-sections of the runs">'
-    page.section("cuts", "Cuts", f"<figure>{image}</figure>")
+    page.section("sections", "Cross-sections", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Differences between the scenes", parts.table(["", *names], rows) if rows else "")
     heads = [*names, *["change"] * (len(names) == 2)]
@@ -151,7 +151,9 @@ def check_count(runs: int) -> None:
         raise StoreError(f"compare: give 2 to {MOST} folders of runs, not {runs}")
 
 
-def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture.Cut], tuple[float, float, float]]:
+def _sections(
+    results: Sequence[Result], names: Sequence[str]
+) -> tuple[list[picture.CrossSection], tuple[float, float, float]]:
     """The cross-section of each run at its last step, all with pictures of one size. Returns also half the width of the pictures, and
     their bottom and top relative to the surface, um."""
     stages = [picture.stage(result) for result in results]
@@ -160,12 +162,12 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture
     half = max((right - left) / 2 for left, right, _, _ in own)
     low = min(bottom - at.level for (_, _, bottom, _), at in zip(own, stages, strict=True))
     high = max(top - at.level for (_, _, _, top), at in zip(own, stages, strict=True))
-    cuts = []
+    sections = []
     for result, step, at, (left, right, _, _) in zip(results, steps, stages, own, strict=True):
         middle = (left + right) / 2
         seen = (middle - half, middle + half, at.level + low, at.level + high)
-        cuts.append(picture.cut(result, step, names, at, seen))
-    return cuts, (half, low, high)
+        sections.append(picture.cross_section(result, step, names, at, seen))
+    return sections, (half, low, high)
 
 
 def _change(before: object, after: object, *errors: float | None) -> str:

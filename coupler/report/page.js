@@ -45,7 +45,7 @@ function every(numbers, first, step) {
 class Solid {
   constructor(solid) {
     this.solid = solid;
-    this.kinds = ["target", "particle", "target cut", "particle cut"];
+    this.kinds = ["target", "particle", "target section", "particle section"];
     this.box = document.getElementById("solid");
     this.slider = document.getElementById("time");
     this.chooser = document.getElementById("field");
@@ -89,16 +89,16 @@ class Solid {
 
   traces(step) {
     const field = this.solid.fields.find((field) => field.name === this.chooser.value);
-    const cut = !this.whole.checked;
+    const open = !this.whole.checked;
     const meshes = this.kinds.map((kind, number) => ({
       type: "mesh3d", name: kind, ...this.mesh(kind, step, field), colorscale: field.colours, cmin: field.low, cmax: field.high,
-      visible: cut || number < 2, showscale: number === 0, flatshading: false,
+      visible: open || number < 2, showscale: number === 0, flatshading: false,
       hovertemplate: `%{intensity:.4g} ${field.unit}<br>x %{x:.1f}, y %{y:.1f}, z %{z:.1f} µm<extra>${kind}</extra>`,
       lighting: number < 2 ? { ambient: 0.5, diffuse: 0.45, specular: 0.05, roughness: 0.9, fresnel: 0.05 } : { ambient: 1, diffuse: 0, specular: 0 },
       lightposition: { x: -3e3, y: -6e3, z: 1e4 },
       colorbar: { title: { text: field.unit ? `${field.label} (${field.unit})` : field.label, side: "right" }, thickness: 14, len: 0.8, x: 1.0, outlinewidth: 0 },
     }));
-    const outline = { type: "scatter3d", mode: "lines", ...this.lines(step), visible: cut, hoverinfo: "skip", line: { color: "#111", width: 3 }, showlegend: false };
+    const outline = { type: "scatter3d", mode: "lines", ...this.lines(step), visible: open, hoverinfo: "skip", line: { color: "#111", width: 3 }, showlegend: false };
     return [...meshes, outline];
   }
 
@@ -146,7 +146,7 @@ class Solid {
   async turn() {
     this.stop();
     this.box.layout.scene = this.scene(this.camera(this.whole.checked));
-    await Plotly.react(this.box, this.traces(this.step), { ...this.box.layout, uirevision: this.whole.checked ? "whole" : "cut" });
+    await Plotly.react(this.box, this.traces(this.step), { ...this.box.layout, uirevision: this.whole.checked ? "whole" : "open" });
     this.forPrint();
   }
 

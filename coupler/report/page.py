@@ -98,22 +98,25 @@ def report(
         at, picked = picture.stage(result), picks(result)
         seen = picture.view(result, picked, at)
         stage("computing the cross-sections")
-        cuts = [picture.cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
-        ranges = {name: picture.colour_range(cuts, name) for name in names}
+        sections = [picture.cross_section(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
+        ranges = {name: picture.colour_range(sections, name) for name in names}
         stage("preparing the 3D view")
         page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
         stage("drawing the cross-sections")
-        main = picture.with_phases(cuts[-1], {name: ranges[name] for name in names if name in ("T", "eps_p")})
-        lower, caption = replace(cuts[-1], view=(*seen[:3], picture.view(result, picked[-1:], at)[3])), {}
-        page.section("cuts", "Cuts", _cuts(cuts, picture.with_phases(cuts[0], ranges), _named_times(summary)))
+        main = picture.with_phases(sections[-1], {name: ranges[name] for name in names if name in ("T", "eps_p")})
+        lower, caption = replace(sections[-1], view=(*seen[:3], picture.view(result, picked[-1:], at)[3])), {}
+        shown = picture.with_phases(sections[0], ranges)
+        page.section("sections", "Cross-sections", _pictures(sections, shown, _named_times(summary)))
         if len(result.times(COLD)):
-            section, colours = picture.cut_cold(result, at, lower.view)
+            section, colours = picture.cold_section(result, at, lower.view)
             caption = {"after cooling to ambient temperature": section.time}
-            page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
+            page.section(
+                "cold", "Residual stress", parts.cold(summary, coating) + _pictures([section], colours, caption)
+            )
             lower, main = section, picture.with_phases(section, {name: colours[name] for name in ("eps_p", "in_plane")})
             page.section("properties", "Properties", parts.properties(result))
-        front = _cuts([lower], main, caption) + front
+        front = _pictures([lower], main, caption) + front
         stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:
@@ -193,21 +196,23 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
     return (f'<p id="verdict"><b>Verdict</b>: {lines}</p>' if decided else "") + state
 
 
-def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
+def _pictures(
+    sections: Sequence[picture.CrossSection], ranges: Mapping[str, picture.Range], named: Mapping[str, float]
+) -> str:
     """Pictures of the cross-section: a row for each time, a picture for each field. named: time (s) by label, for captions."""
     pictures = []
-    for section in cuts:
+    for section in sections:
         time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
         labels = {picture.PHASE: "phases", **{name: field.label for name, field in FIELDS.items()}}
         panels = ((embedded(_panel(section, name, ends)), labels[name]) for name, ends in ranges.items())
-        images = "".join(f'<img src="{image}" alt="cut at {time}: {label}">' for image, label in panels)
+        images = "".join(f'<img src="{image}" alt="cross-section at {time}: {label}">' for image, label in panels)
         caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')
     return "".join(pictures)
 
 
-def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
+def _panel(section: picture.CrossSection, name: str, ends: picture.Range) -> Figure:
     """A cross-section coloured by one field, with the colour bar or the legend below it."""
     left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches

@@ -65,7 +65,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Cut:
+class CrossSection:
     """The cross-section at one time. Lengths in um, values in the units of `FIELDS`.
 
     time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
@@ -103,12 +103,12 @@ def drawable(result: Result) -> list[str]:
 
 def stage(result: Result) -> Stage:
     """The `Stage` of a run. The plane goes through the middle of the particle at the start. For several particles it is the first
-    plane through a particle centre that cuts most of them. Raises StoreError if no step is stored."""
+    plane through a particle centre that crosses most of them. Raises StoreError if no step is stored."""
     if not stored_steps(result):
         raise StoreError(f"{result.directory} has no stored step of particle, surface and target: try again later")
     particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
     start, volume = surface.points, abs(enclosed_volume(surface.points, surface.cells))
-    plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
+    plane = _best_plane(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
     void = VOID * (volume / max(len(particle.points), 1)) ** (1 / 3)
     top, low, high = float(target.points[:, 2].max()) * MICRO, start[:, 0].min() * MICRO, start[:, 0].max() * MICRO
     loops = (
@@ -122,15 +122,15 @@ def stage(result: Result) -> Stage:
     return Stage(plane, level, float(high - low), void, top, ground, phases_of(result.plan))
 
 
-def _most_cut(plan: Values, first: float) -> float:
-    """The plane y (m) through the centre of a particle that cuts the largest number of particles of a plan. first: y (m) of the first
-    particle, which is the result if the plan cannot be read."""
+def _best_plane(plan: Values, first: float) -> float:
+    """The plane y (m) through the centre of a particle that crosses the largest number of particles of a plan. first: y (m) of the
+    first particle, which is the result if the plan cannot be read."""
     try:
         impacts = [(float(each["offset"][1]), float(each["diameter"])) for each in plan["impacts"]]
     except (KeyError, TypeError, IndexError, ValueError):  # no readable plan
         return first
-    cuts = [sum(abs(y - plane) < 0.4 * diameter for y, diameter in impacts) for plane, _ in impacts]
-    best = int(np.argmax(cuts)) if cuts else 0
+    crossed = [sum(abs(y - plane) < 0.4 * diameter for y, diameter in impacts) for plane, _ in impacts]
+    best = int(np.argmax(crossed)) if crossed else 0
     return impacts[best][0] if best else first
 
 
@@ -155,7 +155,9 @@ def view(result: Result, steps: Iterable[int], at: Stage) -> View:
     return float(middle - half), float(middle + half), float(bottom), float(max(high[2], at.level) + 0.15 * D)
 
 
-def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS) -> Cut:
+def cross_section(
+    result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS
+) -> CrossSection:
     """The cross-section of particle and target at a stored step. names: keys of `FIELDS`; at: its plane; seen: extent of the picture;
     pixels: along the longer side of the particle. Raises StoreError if data are missing."""
     particle, surface, target = read(result, step, names)
@@ -165,11 +167,11 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, 
         shell, core = at.phases.particles[impact_at(result, particle.time) - 1]
         image = images[names[0]]
         images[PHASE] = np.where(np.isnan(image), np.nan, np.where(images.get("core", 0.0 * image) > 0.5, core, shell))
-    return replace(cut_bodies(target, names, at, seen), loops=loops, images=images, extent=extent)
+    return replace(section_of_bodies(target, names, at, seen), loops=loops, images=images, extent=extent)
 
 
-def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
-    """The cross-section of tetrahedra without a particle; arguments as in `cut`."""
+def section_of_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> CrossSection:
+    """The cross-section of tetrahedra without a particle; arguments as in `cross_section`."""
     polygons, owner = section_of_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
@@ -180,17 +182,19 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> C
     for name in names:
         ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
-    rim, is_substrate = surfaces_cut(target, at)
+    rim, is_substrate = section_of_surfaces(target, at)
     phases: Sequence[str] = ()
     if at.phases is not None:
         phases = at.phases.names
         values[PHASE] = np.repeat(at.phases.of(target)[owner[inside], None], 4, axis=1)
     nothing = {name: np.zeros((0, 0)) for name in values}
     extent = (0.0, 1.0, 0.0, 1.0)
-    return Cut(target.time, at.level, at.ground, seen, [], corners, rim, is_substrate, extent, values, nothing, phases)
+    return CrossSection(
+        target.time, at.level, at.ground, seen, [], corners, rim, is_substrate, extent, values, nothing, phases
+    )
 
 
-def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
+def section_of_surfaces(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
     """Lines (r, 2, 2), um, where the plane crosses the surfaces of substrate and splats. Returns also the mask (r,) of the lines of
     the substrate, which is all False if there are no splats."""
     skin, owner = boundary_faces(target.cells)
@@ -208,12 +212,12 @@ def _of_splats(target: Fields) -> NDArray[np.bool_]:
     return np.asarray(target.data["impact"] > 0) if "impact" in target.data else np.zeros(len(target.cells), bool)
 
 
-def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
+def cold_section(result: Result, at: Stage, seen: View) -> tuple[CrossSection, dict[str, Range]]:
     """The cross-section after the closing stage, and the colour scales of COLD_FIELDS (`with_phases`). The scale of the in-plane stress
     is symmetric about 0. Raises StoreError if the run has no closing stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
-    section = cut_bodies(bodies, COLD_FIELDS, at, seen)
+    section = section_of_bodies(bodies, COLD_FIELDS, at, seen)
     ranges = {name: colour_range([section], name) for name in COLD_FIELDS}
     most = max(float(np.percentile(np.abs(section.values["in_plane"]), 98)), FIELDS["in_plane"].least_range)
     return section, with_phases(section, {**ranges, "in_plane": Range(-most, most, exceeded=True)})
@@ -231,9 +235,9 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     if missing or target.cells.shape[1:] != (4,) or surface.cells.shape[1:] != (3,):
         lacking = ", ".join(sorted(missing)) or "cells"
         raise StoreError(f"{result.directory} lacks fields that a picture needs: {lacking}")
-    numbers: list[NDArray] = [fields.points for fields in (particle, surface, target)]
-    numbers += [fields.data[name] for name in names for fields in (particle, target)]
-    if not all(np.isfinite(part).all() for part in numbers):
+    arrays: list[NDArray] = [fields.points for fields in (particle, surface, target)]
+    arrays += [fields.data[name] for name in names for fields in (particle, target)]
+    if not all(np.isfinite(part).all() for part in arrays):
         raise StoreError(
             f"{result.directory}: step {step % steps} has values that are not finite numbers, because the run became unstable:"
             " choose an earlier step, or compute the scene with a finer preset"
@@ -264,10 +268,12 @@ def _images(
     return images, (float(left), float(right), float(bottom), float(top))
 
 
-def colour_range(cuts: Sequence[Cut], name: str) -> Range:
+def colour_range(sections: Sequence[CrossSection], name: str) -> Range:
     """The limits of the colour scale of a field for all cross-sections together."""
     field = FIELDS[name]
-    parts = [part[np.isfinite(part)] for cut in cuts for part in (cut.values[name], cut.images[name])]  # without voids
+    parts = [
+        part[np.isfinite(part)] for section in sections for part in (section.values[name], section.images[name])
+    ]  # without voids
     parts = [part for part in parts if part.size]
     low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
     # The percentile of each body limits the influence of a few points at an edge, and of one body on the other
@@ -275,7 +281,7 @@ def colour_range(cuts: Sequence[Cut], name: str) -> Range:
     return Range(low, high, any(part.max() > 1.02 * high for part in parts))
 
 
-def with_phases(section: Cut, ranges: Mapping[str, Range]) -> dict[str, Range]:
+def with_phases(section: CrossSection, ranges: Mapping[str, Range]) -> dict[str, Range]:
     """Colour scales of pictures of a cross-section: that of PHASE, if its particles are of several materials, and the given ones."""
     return {**({PHASE: Range(-0.5, len(section.phases) - 0.5)} if section.phases else {}), **ranges}
 
@@ -285,7 +291,7 @@ def outline_of(loops: Sequence[NDArray]) -> Outline:
     return Outline.make_compound_path(*(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops))
 
 
-def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
+def draw(axis: Axes, section: CrossSection, name: str, ends: Range) -> None:
     """Draw a cross-section coloured by one field. name: key in FIELDS, or PHASE; ends: limits of its colour scale, in the displayed
     unit."""
     left, right, bottom, top = section.view
@@ -356,7 +362,7 @@ def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
 LONGEST_HEADING = 56  # characters beside the time at the full size of the font
 
 
-def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
+def panels(section: CrossSection, ranges: Mapping[str, Range], heading: str) -> Figure:
     """A figure of one cross-section, with a panel and a colour bar for each field of `ranges`. The panels are one below the other."""
     left, right, bottom, top = section.view
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
@@ -391,5 +397,5 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
 def section_figure(result: Result, step: int = -1) -> Figure:
     """The figure of `section_picture`. Raises StoreError if something to draw is missing."""
     at, names = stage(result), ("T", "eps_p")
-    section = cut(result, step, names, at, view(result, [step], at))
+    section = cross_section(result, step, names, at, view(result, [step], at))
     return panels(section, with_phases(section, {name: colour_range([section], name) for name in names}), title(result))

@@ -18,11 +18,11 @@ from ..files.result import Result
 from ..geometry.sections import crossing, section_loops, section_of_tets
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
-from .picture import MICRO, Range, Stage, read, surfaces_cut, view
+from .picture import MICRO, Range, Stage, read, section_of_surfaces, view
 
 FRAMES = 26  # of the time slider, at most
 VERTICES = 2500  # of the surface of the particle: more are merged
-CUT_STEPS = 28  # triangles along the longer side of the cross-section of the particle
+SECTION_STEPS = 28  # triangles along the longer side of the cross-section of the particle
 TOP = 2**16 - 1
 
 # One mesh: points (n, 3) um, triangles (m, 3), name -> values (n,) in the units of FIELDS.
@@ -39,8 +39,8 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
 
     `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: below the particle at all times (um);
     `fields`: the fields with colours and ranges; `triangles`: sets of index triplets, which frames share; `frames`: for each time
-    the meshes "target", "particle", "target cut" and "particle cut", each with the index of its set of triangles, its points (in a
-    box three times as large, with the same centre) and values; and `lines`: x and z (um) of the outlines of the cross-section.
+    the meshes "target", "particle", "target section" and "particle section", each with the index of its set of triangles, its points
+    (in a box three times as large, with the same centre) and values; and `lines`: x and z (um) of the outlines of the cross-section.
     """
     seen = view(result, steps, at)
     box = _box([result.fields(step, "surface").points * MICRO for step in steps], seen[3], at)
@@ -54,11 +54,11 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
         cloud = {name: at_nodes(particle, name) * FIELDS[name].factor for name in ranges}
         skin, _ = boundary_faces(target.cells)
         loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
-        rim, _ = surfaces_cut(target, at)
+        rim, _ = section_of_surfaces(target, at)
         meshes = {"target": _target(target.points * MICRO, skin, nodal, box)}
-        meshes["target cut"] = _target_cut(target, nodal, at, box)
+        meshes["target section"] = _target_section(target, nodal, at, box)
         meshes["particle"] = _particle(particle.points, cloud, surface, kept)
-        meshes["particle cut"] = _particle_cut(particle.points, cloud, loops, at)
+        meshes["particle section"] = _particle_section(particle.points, cloud, loops, at)
         shown.append(meshes)
         lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(rim[_reaches_into(rim, box)]))
         times.append(round(particle.time * 1e9, 3))
@@ -123,7 +123,7 @@ def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: N
     return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
 
 
-def _target_cut(target: Fields, nodal: Mapping[str, NDArray], at: Stage, box: NDArray) -> Mesh:
+def _target_section(target: Fields, nodal: Mapping[str, NDArray], at: Stage, box: NDArray) -> Mesh:
     polygons, _ = section_of_tets(target.points, target.cells, at.plane)
     near = _reaches_into(crossing(target.points, polygons, at.plane)[0] * MICRO, box)
     edges, corner = np.unique(np.sort(polygons[near], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
@@ -146,7 +146,7 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
     return places * MICRO, triangles, values
 
 
-def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
+def _particle_section(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
     """The cross-section of the particle as triangles between its outline and a grid of points inside, without voids."""
     if not loops:
         return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
@@ -156,7 +156,7 @@ def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDA
 
     outline = np.concatenate(loops)
     low, high = outline.min(0), outline.max(0)
-    step = float((high - low).max()) / CUT_STEPS
+    step = float((high - low).max()) / SECTION_STEPS
     x, z = (np.arange(a, b, step) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
     grid = grid[inside(grid) & (cKDTree(outline).query(grid)[0] > 0.4 * step)]

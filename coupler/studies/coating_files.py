@@ -20,7 +20,7 @@ from ..geometry.triangles import enclosed_volume
 from ..report import picture
 from ..report.figure import blank, save
 from ..report.phases import colour_of, name_phases, phases_of
-from ..report.picture import MICRO, Stage, colour_range, cut, cut_cold, panels, read, scale_bar
+from ..report.picture import MICRO, Stage, cold_section, colour_range, cross_section, panels, read, scale_bar
 from .coating import CoatingMeasures, Growth
 from .splats import Splats
 from .table import write_rows
@@ -55,14 +55,14 @@ def section(result: Result, splats: Splats, path: Path, radius: float, heading: 
     ground = (np.column_stack([x, splats.ground(places)]) * MICRO,)
     at = Stage(plane, 0.0, radius * MICRO, 0.0, ground=ground, phases=phases_of(result.plan))
     if len(result.times(COLD)):
-        save(panels(*cut_cold(result, at, _seen(splats, radius)), heading), path)
+        save(panels(*cold_section(result, at, _seen(splats, radius)), heading), path)
         return
     read(result, -1, _DRAWN)
     surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
-    section_cut = cut(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
-    ranges = picture.with_phases(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN})
-    save(panels(section_cut, ranges, heading), path)
+    at_end = cross_section(result, -1, _DRAWN, replace(at, void=1.6 * spacing), _seen(splats, radius))
+    ranges = picture.with_phases(at_end, {name: colour_range([at_end], name) for name in _DRAWN})
+    save(panels(at_end, ranges, heading), path)
 
 
 def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:

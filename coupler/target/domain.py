@@ -143,7 +143,7 @@ def domain_now(target: Target, body: np.ndarray) -> Domain:
 @dataclass(frozen=True)
 class Selection:
     """A part of a domain, as a new domain. nodes, elements, facets, bodies: indices in the original domain, ascending. The new
-    faces at the cut follow after the facets, in the set "cut"."""
+    faces between it and the rest come after the facets, in the set "cut"."""
 
     domain: Domain
     nodes: np.ndarray

@@ -18,7 +18,7 @@ from coupler.errors import SceneError, StoreError
 from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
-from coupler.report.picture import _most_cut
+from coupler.report.picture import _best_plane
 from coupler.studies import coating, coating_seeds
 from coupler.studies.coating import (
     growth,
@@ -278,9 +278,9 @@ def test_growth_has_a_row_for_each_impact(
 def test_a_film_of_a_coating_cuts_most_of_its_particles() -> None:
     places = [8.0, -1.0, -12.0, 0.5, 2.0]
     plan = {"impacts": [{"offset": [0.0, y * 1e-6], "diameter": 10e-6} for y in places]}
-    assert _most_cut(plan, 8e-6) == -1e-6  # the first of those that cut three
-    assert _most_cut({"impacts": plan["impacts"][:1]}, 7e-6) == 7e-6
-    assert _most_cut({}, 7e-6) == 7e-6
+    assert _best_plane(plan, 8e-6) == -1e-6  # the first of those that cut three
+    assert _best_plane({"impacts": plan["impacts"][:1]}, 7e-6) == 7e-6
+    assert _best_plane({}, 7e-6) == 7e-6
 
 
 def test_impacts_without_a_verdict_are_told(built: Splats) -> None:

@@ -1,4 +1,4 @@
-"""Blocks cut by hand, whose effective stiffness and conductivity are known in closed form or bounded."""
+"""Blocks made by hand, whose effective stiffness and conductivity are known in closed form or bounded."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from layers import UM, box, stack
 
 from coupler.geometry.tetrahedra import boundary_faces, volumes
-from coupler.properties.block import Block, Joints, cut_out
+from coupler.properties.block import Block, Joints, extract_block
 from coupler.properties.homogenise import conducting, elastic
 from coupler.properties.measure import moduli
 
@@ -32,34 +32,34 @@ def conductivity(block: Block, kind: str, factor: np.ndarray | float = 1.0, cond
 
 
 @pytest.fixture(scope="module")
-def cut() -> Block:
-    """A block cut out of one body by planes that pass between its nodes."""
+def sample() -> Block:
+    """A block out of one body by planes that pass between its nodes."""
     rng = np.random.default_rng(1)
     points, tets = box((5, 5, 5), np.zeros(3), np.full(3, 10 * UM))
     moved = points + rng.uniform(-0.25, 0.25, points.shape) * UM
     low, high = np.array([1.3, 2.1, 1.7]) * UM, np.array([8.6, 7.9, 8.2]) * UM
     body = np.zeros(len(tets), int)
-    return cut_out(moved, tets, body, np.zeros((len(points), 2)), low, high, 2 * UM)
+    return extract_block(moved, tets, body, np.zeros((len(points), 2)), low, high, 2 * UM)
 
 
-def test_a_cut_keeps_the_mesh_whole(cut: Block) -> None:
+def test_a_block_keeps_the_mesh_whole(sample: Block) -> None:
     """Without a pore the metal fills the block, but for slivers that are left out, and all free faces lie on its own."""
-    assert cut.solid == pytest.approx(1.0, abs=1e-5)
-    assert len(boundary_faces(cut.tets)[0]) == len(cut.walls)
-    assert volumes(cut.points, cut.tets).min() > 0.0
+    assert sample.solid == pytest.approx(1.0, abs=1e-5)
+    assert len(boundary_faces(sample.tets)[0]) == len(sample.walls)
+    assert volumes(sample.points, sample.tets).min() > 0.0
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_one_body_has_the_constants_of_its_metal(cut: Block, kind: str) -> None:
+def test_one_body_has_the_constants_of_its_metal(sample: Block, kind: str) -> None:
     """Linear fields solve it under each condition, whatever the mesh; 1e-6 is ten times the tolerance of the solver."""
-    whole = cut.solid
-    np.testing.assert_allclose(stiffness(cut, kind) / whole, isotropic(LAME, SHEAR), rtol=1e-6, atol=1e-6 * LAME)
-    np.testing.assert_allclose(conductivity(cut, kind) / whole, K_HEAT * np.eye(3), rtol=1e-6, atol=1e-6 * K_HEAT)
+    whole = sample.solid
+    np.testing.assert_allclose(stiffness(sample, kind) / whole, isotropic(LAME, SHEAR), rtol=1e-6, atol=1e-6 * LAME)
+    np.testing.assert_allclose(conductivity(sample, kind) / whole, K_HEAT * np.eye(3), rtol=1e-6, atol=1e-6 * K_HEAT)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bodies_that_are_bonded_everywhere_are_one(kind: str) -> None:
-    """A block cut through into three bodies: what leads a node may itself be led."""
+    """A block divided into three bodies: what leads a node may itself be led."""
     block = stack([2.5 * UM, 5 * UM, 2.5 * UM])
     assert len(block.joints.nodes) == 2 * 25
     np.testing.assert_allclose(stiffness(block, kind), isotropic(LAME, SHEAR), rtol=1e-6, atol=1e-6 * LAME)
@@ -92,7 +92,7 @@ def test_a_sphere_in_a_metal(contrast: float) -> None:
     c, half = inside.mean(), np.full(3, 5 * UM)
     kept = ~inside if contrast == 0.0 else np.ones(len(tets), bool)
     number = inside[kept].astype(int)  # kept as the body of each element; bodies share nodes here, so that none touches
-    block = cut_out(points, tets[kept], number, np.zeros((len(points), 2)), -half, half, 1e-9)
+    block = extract_block(points, tets[kept], number, np.zeros((len(points), 2)), -half, half, 1e-9)
     factor = np.where(block.body == 1, contrast, 1.0)
     K = LAME + 2 / 3 * SHEAR
     step = 1 / (contrast - 1)
@@ -187,7 +187,9 @@ def test_the_bounds_enclose_where_pores_cut_the_faces(shape: str) -> None:
     x, y, z = points[tets].mean(axis=1).T / UM
     kept = ~((z > 1.6) & (x > 0.0)) if shape == "step" else (z < -1.6) | (np.maximum(abs(x), abs(y)) < 1.7)
     none = np.zeros((len(points), 2))
-    block = cut_out(points, tets[kept], np.zeros(kept.sum(), int), none, np.full(3, -5 * UM), np.full(3, 5 * UM), 1e-9)
+    block = extract_block(
+        points, tets[kept], np.zeros(kept.sum(), int), none, np.full(3, -5 * UM), np.full(3, 5 * UM), 1e-9
+    )
     most, between, least = (moduli(stiffness(block, kind)) for kind in KINDS)
     heat = np.stack([conductivity(block, kind).diagonal() for kind in KINDS])
     assert all(most[name] > 0.999999 * between[name] > 0.999998 * least[name] > 0.0 for name in most)

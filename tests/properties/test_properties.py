@@ -13,7 +13,7 @@ from conftest import SharedRuns
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.files.result import Result
-from coupler.properties.measure import cold_coating, cut
+from coupler.properties.measure import cold_coating, extract_sample
 
 BLOCK = ["--side", "28 um", "--heights", "1 um", "12 um"]  # two splats fill so much, though they do not fill it
 
@@ -85,7 +85,9 @@ def test_what_has_no_cold_coating_or_no_room_is_refused(
     with pytest.raises(StoreError, match=r"holds .* splats, but 2 are needed: choose a larger"):
         cold.properties(side=4e-6, heights=(3e-6, 6e-6))
     _, splats, metals = cold_coating(cold)
-    joint = cut(splats, metals, np.full(3, -6e-6), np.full(3, 6e-6), first=0)  # to the substrate: one splat is enough
+    joint = extract_sample(
+        splats, metals, np.full(3, -6e-6), np.full(3, 6e-6), first=0
+    )  # to the substrate: one splat is enough
     assert joint.splats < 2.0
     assert {0, 1} <= set(joint.block.body)
     for heights in ((-30e-6, 6e-6), (300e-6, 400e-6)):

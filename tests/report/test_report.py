@@ -27,7 +27,7 @@ from coupler.report.fields import FIELDS, from_points
 from coupler.report.figure import READABLE, axes_at, blank, label_log
 from coupler.report.page import report
 from coupler.report.phases import colour_of, phases_of
-from coupler.report.picture import cut, stage, view
+from coupler.report.picture import cross_section, stage, view
 from coupler.report.profiles import on_vertical, profiles
 from coupler.report.words import alerts, remarks, span, summary_table, title
 
@@ -447,7 +447,7 @@ def test_a_hollow_particle_is_not_painted_inside(folder, tmp_path):
     store.close()
     result = Result(copy)
     at = stage(result)
-    image = cut(result, 0, ("T",), at, view(result, [0], at), 200).images["T"]
+    image = cross_section(result, 0, ("T",), at, view(result, [0], at), 200).images["T"]
     rows, columns = np.indices(image.shape)
     r = np.hypot(rows / image.shape[0] - 0.5, columns / image.shape[1] - 0.5) * 2
     assert np.isnan(image[r < 0.4]).all()

@@ -205,7 +205,7 @@ def test_the_3d_view_is_the_run(finished):
     assert view["frames"][0]["particle"]["triangles"] == frame["triangles"]
 
     field = view["fields"][0]
-    cut = view["frames"][1]["target cut"]
+    cut = view["frames"][1]["target section"]
     T = field["least"] + read(cut["values"]["T"]) / TOP * field["span"]
     inside = result.fields(-1, "target").data["T"]
     assert T.max() > 350
@@ -213,7 +213,7 @@ def test_the_3d_view_is_the_run(finished):
     y = low[1] - span[1] + read(cut["points"]).reshape(-1, 3)[:, 1] / TOP * 3 * span[1]
     np.testing.assert_allclose(y, at.plane * 1e6, atol=0.005)
     # the particle's section is filled to its outline
-    part = view["frames"][1]["particle cut"]
+    part = view["frames"][1]["particle section"]
     places = low - span + read(part["points"]).reshape(-1, 3) / TOP * 3 * span
     corners = places[read(view["triangles"][part["triangles"]]).astype(int).reshape(-1, 3)][..., [0, 2]]
     (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
@@ -304,7 +304,7 @@ def test_a_browser_shows_the_page(finished, page, tmp_path):
         assert browser.ask("document.querySelectorAll('#measures td').length") > 30
         assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 9
         assert (
-            browser.ask("[...document.querySelectorAll('#cuts img')].map((image) => image.naturalWidth > 500)")
+            browser.ask("[...document.querySelectorAll('#sections img')].map((image) => image.naturalWidth > 500)")
             == [True] * 12  # three fields at four times
         )
         # 3D: WebGL has a canvas, and is given another instant when asked; that it draws it takes seconds to see (the slow test below)
