@@ -39,12 +39,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.refine < 0:
         raise StoreError(f"--refine {arguments.refine}: give the number of points to compute, zero or more")
     rows, axes = _table(arguments)
-    for number in range(arguments.refine):
+    for done in range(arguments.refine):
         point, _, _ = maps.best_point(rows, arguments.show[0], axes)
         if not point.at:
             print(f"there is no new point to compute: {point.why}")
             break
-        print(f"running {number + 1} of {arguments.refine}: {point.words}", flush=True)
+        print(f"running {done + 1} of {arguments.refine}: {point.words}", flush=True)
         maps.run_next(arguments.folder, rows, point.at)
         rows, axes = _table(arguments)
     out = arguments.out or arguments.folder

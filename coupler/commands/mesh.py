@@ -213,7 +213,7 @@ def estimated_spacing(x: "np.ndarray") -> float:
 
 
 def write(path: Path, splat: "Splat") -> None:
-    """Write all bodies of a splat with their fields to one file. Cell fields: `body` is the number of the body; `core` is 1 in the core
+    """Write all bodies of a splat with their fields to one file. Cell fields: `body` is the index of the body; `core` is 1 in the core
     of a composite particle, as in target.vtkhdf. Raises SplatError."""
     import meshio
     import numpy as np

@@ -217,7 +217,7 @@ class Bond:
         vars(self).update(vars(take(self, which)))
 
     def renumber(self, node: np.ndarray) -> None:
-        """Change to a new numbering of the nodes. node (N,): new number of each node."""
+        """Change to a new numbering of the nodes. node (N,): new index of each node."""
         self.nodes, self.triangles = node[self.nodes].astype(np.int64), node[self.triangles].astype(np.int64)
 
     @classmethod

@@ -61,8 +61,8 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 
 @njit(cache=True, nogil=True)
 def _sorted(points: Floats, low: Floats, high: Floats, cell: float) -> tuple[Floats, Ints, Ints, Ints]:
-    """Sort the points in the box [low, high] into cells of a grid. Returns the origin of the grid (3,) m, its numbers of cells (3,),
-    the index of the first point of each cell, and the points, cell by cell."""
+    """Sort the points in the box [low, high] into cells of a grid. Returns the origin of the grid (3,) m, its number of cells in each
+    direction (3,), the index of the first point of each cell, and the points, cell by cell."""
     near = boxes_within(points, points, np.arange(len(points)), low, high)
     if len(near) == 0:
         return np.zeros(3), np.ones(3, np.int64), np.zeros(2, np.int64), near
@@ -136,12 +136,12 @@ def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _points_of_boxes(team: Ints, p: _Pairing, number: Ints, first: Ints, found: Ints) -> None:
-    """Do `_points_of_box` for all boxes, in all threads. Writes the counts to number (k,); first (k,): first index in `found` for
+def _points_of_boxes(team: Ints, p: _Pairing, count: Ints, first: Ints, found: Ints) -> None:
+    """Do `_points_of_box` for all boxes, in all threads. Writes the results to count (k,); first (k,): first index in `found` for
     each box."""
-    for lo, hi, _ in ranges(team, 0, len(number), LEAST_BOXES):
+    for lo, hi, _ in ranges(team, 0, len(count), LEAST_BOXES):
         for r in range(lo, hi):
-            number[r] = _points_of_box(r, p, found, first[r])
+            count[r] = _points_of_box(r, p, found, first[r])
 
 
 def pairs_within(
@@ -157,11 +157,11 @@ def pairs_within(
     pairing = _Pairing(
         points, reach, own, low, high, of, cell, most, *_sorted(points, least - most, greatest + most, cell)
     )
-    number, first = np.zeros((2, len(low)), np.int64)
-    together(_points_of_boxes, pairing, number, first, np.zeros(0, np.int64))
-    first = np.append(0, np.cumsum(number))
+    count, first = np.zeros((2, len(low)), np.int64)
+    together(_points_of_boxes, pairing, count, first, np.zeros(0, np.int64))
+    first = np.append(0, np.cumsum(count))
     found = np.empty(first[-1], np.int64)
-    together(_points_of_boxes, pairing, number, first, found)
+    together(_points_of_boxes, pairing, count, first, found)
     by_box = csr_array((np.ones(len(found), np.int8), found, first), shape=(len(low), len(points)))
     by_point = by_box.tocsc()
     return by_point.indptr.astype(np.int64), by_point.indices.astype(np.int64)

@@ -118,8 +118,8 @@ def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, 
 
 @njit(cache=True, nogil=True)
 def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
-    """The smallest body number above `after` among the bodies that have a face in `among` near p; ANY if there is none. reach: square
-    of the largest distance between p and the box of the face, m2."""
+    """The body with the smallest index above `after` that has a face in `among` near p; ANY if there is none. reach: square of the
+    largest distance between p and the box of the face, m2."""
     found = ANY
     for r in among:
         candidate = faces[r]
@@ -249,7 +249,7 @@ def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: in
 
 @njit(cache=True, nogil=True)
 def least_node(rows: Ints, node: Ints, c: Candidates, faces: Faces) -> Ints:
-    """Smallest node number among each point of `rows` and the nodes of its candidates. node (n,): node of each point."""
+    """Smallest index of a node, among each point of `rows` and the nodes of its candidates. node (n,): node of each point."""
     least = np.empty(len(rows), np.int64)
     for q in range(len(rows)):
         i = rows[q]

@@ -202,7 +202,7 @@ class Contact(ContactState):
         return len(self._around(body, others, 0.5 * float(self.spacing[body]) + travel)) == 0
 
     def _around(self, body: int, ids: Ints, margin: float) -> Ints:
-        """Numbers of the faces among `ids` whose boxes lie within `margin` m of the bounding box of a body's points."""
+        """Indices of the faces among `ids` whose boxes lie within `margin` m of the bounding box of a body's points."""
         own, found = self.points.x[self.bounds[body] : self.bounds[body + 1]], list[tuple[Floats, Floats]]()
         share(lambda lo, hi: found.append(broad.bounds(own[lo:hi], own[lo:hi])), len(own), LEAST_POINTS)
         least, most = np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
@@ -310,7 +310,7 @@ class Contact(ContactState):
         self.sums.friction_heat += float(sums[0, 2])
 
     def _lose(self, lost: Floats) -> None:
-        """Add the points that have lost their contact, and the energy of their springs, to the sums (`kernels.project`)."""
+        """Add the number of points that have lost their contact, and the energy of their springs, to `sums` (`kernels.project`)."""
         if lost[:, 1].any():
             self.sums.dropped += int(lost[:, 0].sum())
             self.sums.dropped_energy += float(lost[:, 1].sum())

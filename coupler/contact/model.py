@@ -6,13 +6,13 @@ import numpy as np
 
 from ..core.arrays import Faces, Floats, Histories, Ints
 
-ANY = -1  # number of a body that is not specified
+ANY = -1  # index of a body that is not specified
 # Values of `ignored`, m: ALL for a point that has lost its contact, UNKNOWN for a point that no search has found near a face.
 ALL, UNKNOWN = 1e300, -1.0
 #: A triangle that points may touch: its bounding box (m), its nodes and its body. One record fills one line of the processor's cache.
 FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
 #: History of a point. spring: friction force, N. The other fields have two columns: the body in which the point lies deepest, and a
-#: second body. depth: penetration that gives force, m; ignored: penetration without force, m (`kernels.ignored_depth`); body: number.
+#: second body. depth: penetration that gives force, m; ignored: penetration without force, m (`kernels.ignored_depth`); body: index.
 HISTORY = np.dtype([("spring", "f8", 3), ("depth", "f8", 2), ("ignored", "f8", 2), ("body", "i8", 2)])
 
 

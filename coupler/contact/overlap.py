@@ -12,7 +12,7 @@ from .surfaces import Surfaces, neighbours
 def lying_inside(
     surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """For each body, yield its number, the surface nodes (k,) of other bodies that lie inside it, their depths (k,) m, and the
+    """For each body, yield its index, the surface nodes (k,) of other bodies that lie inside it, their depths (k,) m, and the
     closest facet (k,) of the body. Only pairs with one of `bodies` count. x (N,3) m."""
     asked = np.zeros(surfaces.bodies, bool)
     asked[list(bodies)] = True

@@ -39,11 +39,11 @@ class Surfaces:
 
     @cached_property
     def _by_body(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of all facets, sorted by body, and the index of the first facet of each body."""
+        """Indices of all facets, sorted by body, and the index of the first facet of each body."""
         return np.argsort(self.body, kind="stable"), np.cumsum([0, *np.bincount(self.body)])
 
     def facets_of(self, *bodies: int) -> np.ndarray:
-        """Numbers of the facets of these bodies, ascending."""
+        """Indices of the facets of these bodies, ascending."""
         order, start = self._by_body
         parts = [order[start[b] : start[b + 1]] for b in bodies if b < self.bodies]
         if len(parts) < 2:  # each part is ascending
@@ -58,17 +58,17 @@ class Surfaces:
 
     @cached_property
     def body_of_node(self) -> np.ndarray:
-        """Body (n,) of each node, up to the surface node with the largest number; -1 for inner nodes."""
+        """Body (n,) of each node, up to the surface node with the largest index; -1 for inner nodes."""
         owner = np.full(int(self.facets.max(initial=-1)) + 1, -1)
         owner[self.facets] = self.body[:, None]
         return owner
 
     def nodes_of(self, *bodies: int) -> np.ndarray:
-        """Numbers of the surface nodes of these bodies, ascending."""
+        """Indices of the surface nodes of these bodies, ascending."""
         return self.corners_of(self.facets_of(*bodies))
 
     def corners_of(self, ids: np.ndarray) -> np.ndarray:
-        """Numbers of the nodes of the facets `ids`, ascending."""
+        """Indices of the nodes of the facets `ids`, ascending."""
         return occurring(self.facets[ids], len(self.body_of_node))
 
     def spacing(self, x: np.ndarray, body: int) -> float:
@@ -81,7 +81,7 @@ class Surfaces:
 class Interface:
     """Surface nodes of one body, each with the facet of another body on which it lies.
 
-    nodes (n,); facet (n,): numbers in `Surfaces`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m: signed
+    nodes (n,); facet (n,): indices in `Surfaces`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m: signed
     distance to it; area (n,) m2: a third of the area of those own facets whose three nodes all lie on other bodies. own (p,2):
     pairs (row, own facet) with these facets.
     """
@@ -123,7 +123,7 @@ def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tu
 def earlier_neighbours(
     surfaces: Surfaces, x: np.ndarray, reach: float, among: np.ndarray | None = None
 ) -> list[tuple[int, ...]]:
-    """For each body, the bodies with a smaller number whose bounding boxes lie within `reach` m of its box. x (N,3) m; among: mask
+    """For each body, the bodies with a smaller index whose bounding boxes lie within `reach` m of its box. x (N,3) m; among: mask
     (bodies,) of the bodies to consider, default all."""
     boxes, counts = surfaces.boxes(x), np.ones(surfaces.bodies, bool) if among is None else among
     return [
@@ -135,7 +135,7 @@ def earlier_neighbours(
 def interface(
     surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float, others: tuple[int, ...] | None = None
 ) -> Interface:
-    """Interface of the nodes of `body` that lie within `tolerance` m of a facet of `others` (default: bodies with a smaller number).
+    """Interface of the nodes of `body` that lie within `tolerance` m of a facet of `others` (default: bodies with a smaller index).
 
     A node must face its facet: this excludes the far side of a thin lip. Raises SolverError when positions x (N,3) are not finite.
     """
@@ -147,12 +147,12 @@ def interface(
     corners = surfaces.facets[own_ids]
     rows, outward = np.searchsorted(nodes, corners), vertex_normals(x, corners)[nodes]
     face, weights, gap = _facing(x[nodes], outward, x, surfaces.facets, ids, tolerance, surfaces.spacing(x, body))
-    on = (face >= 0) & (np.abs(gap) <= tolerance)
+    touching = (face >= 0) & (np.abs(gap) <= tolerance)
 
-    flat = on[rows].all(axis=1)
+    flat = touching[rows].all(axis=1)
     area = vertex_areas(x, corners[flat])[nodes]
     own = np.stack([rows[flat].ravel(), np.repeat(own_ids[flat], 3)], axis=1)
-    return Interface(nodes, face, weights, gap, area, own).only(on)
+    return Interface(nodes, face, weights, gap, area, own).only(touching)
 
 
 def _facing(

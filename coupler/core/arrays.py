@@ -20,7 +20,7 @@ Matrix: TypeAlias = tuple[float, float, float, float, float, float, float, float
 
 
 def occurring(ids: Ints, n: int) -> NDArray[np.int64]:
-    """The numbers below n that occur in an array, ascending. The result is that of `numpy.unique`, in a tenth of the time."""
+    """The indices below n that occur in an array, ascending. The result is that of `numpy.unique`, in a tenth of the time."""
     has = np.zeros(n, np.bool_)
     has[ids] = True
     return np.flatnonzero(has)

@@ -33,7 +33,7 @@ class Sums:
 class Shape:
     """Annotation of an array field: its shape, with -1 for a free length, and its type.
 
-    index_of: name of the objects that the numbers of the array refer to, see `check_indices`.
+    index_of: name of the objects that the indices in the array refer to, see `check_indices`.
     """
 
     def __init__(self, *shape: int, dtype: DTypeLike = np.float64, index_of: str = ""):
@@ -124,7 +124,7 @@ def put(record: R, into: R) -> None:
 
 
 def take(record: R, index: np.ndarray) -> R:
-    """A record with the rows `index` (numbers or a mask) of all arrays that have a row for each node, element or point."""
+    """A record with the rows `index` (indices or a mask) of all arrays that have a row for each node, element or point."""
     rows = index.nonzero()[0] if index.dtype == bool else index
     return replace(record, **{name: np.take(array, rows, axis=0) for name, array in arrays_of(record).items()})  # type: ignore[type-var]
 

@@ -45,8 +45,8 @@ class BatchReplay:
         """Add the files of the next impact of the batch. before: simulated time of the earlier impacts, s."""
         met, left = task.bodies.target, result.bodies.target
         more = len(left.nodes.x) - len(met.nodes.x), len(left.elements.T) - len(met.elements.T)
-        numbers = met.nodes.node_number, met.elements.element_number
-        self._impacts.append(_Written(task.folder, result.store, *numbers, cut.nodes, more, before))
+        indices = met.nodes.node_number, met.elements.element_number
+        self._impacts.append(_Written(task.folder, result.store, *indices, cut.nodes, more, before))
 
     def write(self, store: Store) -> None:
         """Append the files of the tasks to the files of the run; their targets become parts of the full domain."""

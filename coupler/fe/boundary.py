@@ -9,7 +9,7 @@ HALF_SPACE = "half_space"  # name of the set of facets at which a half-space sur
 
 
 def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
-    """Numbers of the nodes of facet sets, ascending."""
+    """Indices of the nodes of facet sets, ascending."""
     ids = [mesh.facets[mesh.sets[name]].ravel() for name in names]
     return np.unique(np.concatenate(ids)) if ids else np.zeros(0, np.int64)
 

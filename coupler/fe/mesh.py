@@ -23,7 +23,7 @@ class TetMesh:
 
     points (n,3) m; conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) m3: reference volumes;
     node_volume (n,) m3: lumped volumes; facets (k,3): boundary triangles, normals outwards; facet_element (k,): element behind
-    each; sets: facet numbers by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, in shells
+    each; sets: indices of facets by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, in shells
     (`target.domain.merge`) that of the inner face, ascending; axis (2,) m: x and y of the axis of a half-space round the target.
     """
 
@@ -67,7 +67,7 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
 def prepare_ordered(
     points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> tuple[TetMesh, np.ndarray, np.ndarray]:
-    """As `prepare`. Returns also the number of each node (n,) among `points`, and of each element (m,) among `tets`."""
+    """As `prepare`. Returns also the index of each node (n,) among `points`, and of each element (m,) among `tets`."""
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
     order = np.argsort(distance, kind="stable")
     rank = np.argsort(order)

@@ -22,7 +22,7 @@ class Cells(NamedTuple):
 
 
 class Metals(NamedTuple):
-    """LAW records, and the number of the record of each element (m,) and node (n,)."""
+    """LAW records, and the index of the record of each element (m,) and node (n,)."""
 
     laws: Laws
     of_element: Ints

@@ -12,7 +12,7 @@ from ..physics.metal import MetalState
 @dataclass(frozen=True)
 class NodeState:
     """State of n nodes. x (m); v (m/s): velocity half a step before x; f, f_old (N): internal forces of this and of the last step;
-    total (N): sum of all forces; J: volume ratio; p (Pa); energy (J per reference m3); node_number: number in the full domain, for a
+    total (N): sum of all forces; J: volume ratio; p (Pa); energy (J per reference m3); node_number: index in the full domain, for a
     node of a sub-domain, -1 for new nodes."""
 
     x: Annotated[np.ndarray, Rows(3)]

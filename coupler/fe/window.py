@@ -78,6 +78,6 @@ class Edge(EdgeState):
 
 
 def _keys(faces: np.ndarray, n: int) -> np.ndarray:
-    """A unique number (k,) for each triangle (k,3) of n nodes, the same for any order of its corners."""
+    """A unique integer (k,) for each triangle (k,3) of n nodes, the same for any order of its corners."""
     a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
     return (a * n + b) * n + c

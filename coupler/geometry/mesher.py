@@ -130,8 +130,8 @@ def fill(
         loops = []
         for vertices, triangles in shells:
             surface = gmsh.model.addDiscreteEntity(2)
-            numbers = np.arange(nodes, nodes + len(vertices))
-            gmsh.model.mesh.addNodes(2, surface, numbers, (vertices / size).ravel())
+            tags = np.arange(nodes, nodes + len(vertices))
+            gmsh.model.mesh.addNodes(2, surface, tags, (vertices / size).ravel())
             own = np.arange(elements, elements + len(triangles))
             gmsh.model.mesh.addElementsByType(surface, 2, own, (triangles + nodes).ravel())
             loops.append(gmsh.model.geo.addSurfaceLoop([surface]))

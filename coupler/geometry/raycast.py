@@ -31,9 +31,9 @@ class RaySurface:
             raise SplatError(f"the surface is not closed: {problem}")
         self._tensor: Callable[[NDArray], Tensor] = o3d.core.Tensor.from_numpy
         used = occurring(triangles, len(points))  # a surface may use few of the points
-        number = np.zeros(len(points), np.uint32)
-        number[used] = np.arange(len(used))
-        points, triangles = points[used], number[triangles]
+        index = np.zeros(len(points), np.uint32)
+        index[used] = np.arange(len(used))
+        points, triangles = points[used], index[triangles]
         self._upwards = np.sign(area_vectors(points, triangles)[:, 2])
         low, high = points.min(axis=0), points.max(axis=0)
         self.middle, self.unit = 0.5 * (low + high), float((high - low).max()) / 100.0

@@ -150,9 +150,9 @@ class Recorder:
         m: surface of the particle."""
         target, substrate = impact.target, self.plan.target
         self.seen.extremes.note(impact.particle, target)
-        if (number := self.impact_plan.brittle) is not None:
-            limit = self.impact_plan.materials[number].tensile_limit
-            at_points = tension(impact.particle.stress()[impact.particle.law_of == number])
+        if (index := self.impact_plan.brittle) is not None:
+            limit = self.impact_plan.materials[index].tensile_limit
+            at_points = tension(impact.particle.stress()[impact.particle.law_of == index])
             self.seen.tension = max(self.seen.tension, float(at_points.max()))
             self.seen.broken_share = max(self.seen.broken_share, float(np.mean(at_points > limit)))
         for ceramic in substrate.ceramics:

@@ -83,8 +83,8 @@ def extract_block(
     ends = np.stack([low, high])  # each corner of a facet on a face has the coordinate of one end
     on_wall = (abs(points[faces][:, :, None] - ends) < 1e-9 * (high - low).max()).all(axis=1).any(axis=(1, 2))
     inner, behind = faces[~on_wall], behind[~on_wall]
-    number = np.unique(body[behind], return_inverse=True)[1]  # of the bodies with a surface inside the block
-    joints = _joints(Surfaces(inner, number, behind), points, at_nodes, 0.6 * size)
+    index = np.unique(body[behind], return_inverse=True)[1]  # of the bodies with a surface inside the block
+    joints = _joints(Surfaces(inner, index, behind), points, at_nodes, 0.6 * size)
     return Block(points, tets, body, parent, low, high, faces[on_wall], joints)
 
 
@@ -95,7 +95,7 @@ def clip(
     (n,k) are interpolated at new nodes. Parts of a tetrahedron have its parent (m,). Those with a volume below `least` are left out.
 
     Each edge that crosses the plane gets a new node. A tetrahedron is divided at the first of its crossing edges, in the order of
-    their numbers, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
+    their indices, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
     """
     ends = np.sort(tets[:, EDGES], axis=-1).reshape(-1, 2)
     crossing = ends[off[ends].prod(axis=1) < 0.0]

@@ -64,7 +64,7 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
         times.append(round(particle.time * 1e9, 3))
     every = {name: np.concatenate([mesh[2][name] for meshes in shown for mesh in meshes.values()]) for name in ranges}
     reach = {name: (float(values.min()), float(np.ptp(values)) or 1.0) for name, values in every.items()}
-    triangles: dict[str, int] = {}  # packed -> number
+    triangles: dict[str, int] = {}  # packed -> index
     return {
         "times": times,
         "box": box.T.tolist(),
@@ -90,10 +90,10 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
         few = len(np.unique(np.floor(places * middle).astype(int), axis=0)) <= most
         fine, coarse = (middle, coarse) if few else (fine, middle)
     group = np.unique(np.floor(places * fine).astype(int), axis=0, return_inverse=True)[1].ravel()
-    number = np.bincount(group)
-    mean = np.stack([np.bincount(group, column) for column in places.T], axis=1) / number[:, None]
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, column) for column in places.T], axis=1) / count[:, None]
     order = np.lexsort((((places - mean[group]) ** 2).sum(1), group))
-    kept = order[np.cumsum(number) - number]
+    kept = order[np.cumsum(count) - count]
     merged = group[triangles]
     merged = merged[(merged != np.roll(merged, 1, axis=1)).all(1)]
     _, first = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
@@ -192,10 +192,10 @@ def _frame(
         of = {name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()}
         # in a box three times as large, because triangles that overlap the view extend beyond it
         places = _packed((points - box[0] + span) / (3 * span) * TOP)
-        number = triangles.setdefault(_packed(corners), len(triangles))
-        frame[kind] = {"triangles": number, "points": places, "values": of}
+        index = triangles.setdefault(_packed(corners), len(triangles))
+        frame[kind] = {"triangles": index, "points": places, "values": of}
     return frame
 
 
-def _packed(numbers: NDArray) -> str:
-    return base64.b64encode(np.rint(np.clip(numbers, 0, TOP)).astype("<u2").tobytes()).decode()
+def _packed(values: NDArray) -> str:
+    return base64.b64encode(np.rint(np.clip(values, 0, TOP)).astype("<u2").tobytes()).decode()

@@ -13,7 +13,7 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
 
     vertices (k,3) m; triangles (m,3): normals outwards; corner (3,) m: corner of the first cell; h m: edge of the cells. Along the
     line of cells through each (x, y) a downward facing triangle is an entry, an upward facing one an exit. A line through an edge
-    meets exactly one of the two triangles at the edge: both measure its side from the vertex with the smaller number.
+    meets exactly one of the two triangles at the edge: both measure its side from the vertex with the smaller index.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)

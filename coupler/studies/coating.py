@@ -315,12 +315,12 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
     volume, data = np.abs(volumes(splats.mesh.points, splats.mesh.cells)), splats.mesh.data
     layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
     rows = []
-    for number in range(int(layer.max()) + 1):
-        own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
+    for index in range(int(layer.max()) + 1):
+        own = (layer == index) & ((index > 0) | (data["eps_p"] > 0.002))
         if not own.any():
             continue
         count = int(np.count_nonzero(splats.impact[np.unique(splats.body[own])]))
-        row: dict[str, float] = {"layer": number, "splats": count, "volume_m3": float(volume[own].sum())}
+        row: dict[str, float] = {"layer": index, "splats": count, "volume_m3": float(volume[own].sum())}
         for name in ("eps_p", "T", "von_mises"):
             value = data[name][own].astype(float)
             row[f"{name}_mean"] = float(np.average(value, weights=volume[own]))
@@ -359,14 +359,14 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
     columns["coating"] = (splats.impact[splats.body[own]] > 0).astype(float)
     slot = np.floor(z / step).astype(int)
     rows = []
-    for number in np.unique(slot)[::-1]:
-        here = slot == number
+    for index in np.unique(slot)[::-1]:
+        here = slot == index
         if here.sum() >= 4:
             means = {name: float(np.average(value[here], weights=volume[here])) for name, value in columns.items()}
             in_surface = 0.5 * (columns["sigma_xx"] + columns["sigma_yy"])[here]
             low, high = _percentiles(in_surface, volume[here], (0.05, 0.95))
             means |= {"sigma_p5": float(low), "sigma_p95": float(high)}
-            rows.append({"z_m": (number + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
+            rows.append({"z_m": (index + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
     return rows
 
 

@@ -119,8 +119,8 @@ def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, li
 def _form_lines(rows: Sequence[Row], axes: Axes_) -> bool:
     """Whether the points form lines: `_lines` draws at most MOST_LINES lines, with more than one point for each on average."""
     x_axis = _longest(rows, axes)
-    number = len({tuple(row[axis] for axis in axes if axis != x_axis) for row in rows})
-    return number <= MOST_LINES and len(rows) > number
+    count = len({tuple(row[axis] for axis in axes if axis != x_axis) for row in rows})
+    return count <= MOST_LINES and len(rows) > count
 
 
 def _longest(rows: Sequence[Row], axes: Axes_) -> str:
@@ -212,14 +212,14 @@ def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolatio
     figure = blank(10.8, 4.3 * len(slices), dpi=130, layout="constrained")
     panels = figure.subplots(len(slices), 2, squeeze=False, sharex=True, sharey=True)
     fields = [_fields(done, axes, value, fit) for value in slices]
-    for number in range(2):
-        levels = _levels([factor * field[2 + number] for field in fields], quantity, number == 1)
-        for at, value, (x, y, *values) in zip(panels[:, number], slices, fields, strict=True):
+    for column in range(2):
+        levels = _levels([factor * field[2 + column] for field in fields], quantity, column == 1)
+        for at, value, (x, y, *values) in zip(panels[:, column], slices, fields, strict=True):
             here = [row for row in rows if value is None or nearest(row[third[0]]) == value]
-            _contours(at, (x, y, factor * values[number]), levels, number == 1, quantity)
+            _contours(at, (x, y, factor * values[column]), levels, column == 1, quantity)
             _points(at, here, x_axis, y_axis, quantity)
-            at.set(xlabel=axis_label(x_axis), ylabel=axis_label(y_axis) if number == 0 else "")
-            heading = "95 % band, half width" if number and value is None else ""
+            at.set(xlabel=axis_label(x_axis), ylabel=axis_label(y_axis) if column == 0 else "")
+            heading = "95 % band, half width" if column and value is None else ""
             at.set_title(shown(third[0], value) if value is not None else heading, fontsize=9)
     entries = dict(pair[::-1] for at in panels[:, 0] for pair in zip(*at.get_legend_handles_labels(), strict=True))
     figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=5, fontsize=8, frameon=False)

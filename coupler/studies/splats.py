@@ -28,7 +28,7 @@ class Splats:
     kg: mass of each particle; parts (n): materials of each particle, that of the shell first, with their mass fractions; planned:
     impacts of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size (m): element
     size of the splats; undecided: indices of impacts without a verdict, which count as stayed; verdicts: verdicts of the finished
-    impacts, empty while the run continues; cores: name of the material of each body that is the core of a particle, by its number.
+    impacts, empty while the run continues; cores: name of the material of each body that is the core of a particle, by its index.
     ground: heights (k,) m of the bare surface at points (k,2) m.
     """
 

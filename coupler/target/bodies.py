@@ -20,7 +20,7 @@ from ..fe.mesh import TetMesh
 from ..geometry.graph import connected_parts
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
-from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, new_numbers, select
+from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, new_indices, select
 from .placing import NEAR, placed_on
 
 # Spacings. A bonded node deeper than FOLDED in another body is checked. For a node deeper than PRESSED the contact pressure exceeds
@@ -91,7 +91,7 @@ class Bodies:
         return self.count == 1 and self.target.time == 0.0 and not np.ptp(mesh.points[mesh.facets[mesh.sets["top"]], 2])
 
     def reachable(self) -> np.ndarray:
-        """Numbers of the facets that a particle can hit: top and sides of the substrate and surfaces of splats, without buried facets.
+        """Indices of the facets that a particle can hit: top and sides of the substrate and surfaces of splats, without buried facets.
 
         The sides are included: otherwise a point that slides over the rim would lie behind the top, which would pull it back.
         """
@@ -262,9 +262,7 @@ class Bodies:
                     away, row = cKDTree(bonded[0]).query(x[contact_pairs.nodes])
                     chosen &= away <= size
                 if chosen.any():
-                    bonds.append(
-                        _taken_over(bonded[1], row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness)
-                    )
+                    bonds.append(_continued(bonded[1], row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         past = self.past()
@@ -279,7 +277,7 @@ class Bodies:
         return self.with_domain(domain, rank, self.buried)
 
     def with_domain(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
-        """The same bodies, with their bonds and contact, on another domain. rank: new number of each node, -1 for a removed node;
+        """The same bodies, with their bonds and contact, on another domain. rank: new index of each node, -1 for a removed node;
         buried: facets of the new domain that nothing can reach. The bonds of these bodies pass to the result, renumbered."""
         new = self.remade(domain)
         if self.bond is not None:
@@ -319,7 +317,7 @@ class Bodies:
         reach = NEAR * size
         is_near, freed = self._around(np.flatnonzero(gone), reach)
         part, mesh = select(domain_now(self.target, self.body), ~gone[self.body]), self.target.mesh
-        node, facet = new_numbers(part.nodes, len(mesh.points)), new_numbers(part.facets, len(mesh.facets))
+        node, facet = new_indices(part.nodes, len(mesh.points)), new_indices(part.facets, len(mesh.facets))
         if self.bond is not None:
             self.bond.drop((node[self.bond.nodes] < 0) | (node[self.bond.triangles[:, 0]] < 0))
         buried = facet[self.buried]
@@ -386,7 +384,7 @@ def _bonded(pairs: Interface, surfaces: Surfaces, target: Target, law: Adhesion,
     return law.bonded(len(pairs.nodes), strain, pressure, ratio)
 
 
-def _taken_over(
+def _continued(
     bonded: Bond, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
     """Bonds at an interface (n rows) that continue the laws and the damage of the bonds `row` (n,)."""

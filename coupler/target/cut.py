@@ -69,14 +69,14 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
     part = whole.remade(numbered)
     part.impact = whole.impact[selected.bodies]
     part.buried = np.flatnonzero(np.isin(selected.facets, whole.buried))
-    number = np.full(len(x), -1)
-    number[selected.nodes] = rank
+    index = np.full(len(x), -1)
+    index[selected.nodes] = rank
     if (past := whole.past()) is not None and part.count > 1:
-        part.touch(past.renumbered(number, len(part.target.nodes.x)))
+        part.touch(past.renumbered(index, len(part.target.nodes.x)))
     if whole.bond is not None:
-        part.bond = take(whole.bond, (number[whole.bond.nodes] >= 0) & (number[whole.bond.triangles] >= 0).all(axis=1))
+        part.bond = take(whole.bond, (index[whole.bond.nodes] >= 0) & (index[whole.bond.triangles] >= 0).all(axis=1))
         part.bond.stored = float(part.bond.stored_by_each.sum())
-        part.bond.renumber(number)
+        part.bond.renumber(index)
     elements = np.flatnonzero(inside)
     balance, sums = copied(part.target.balance), _sums(part)
     return part, Cut(selected, occurring(conn[elements], len(x)), elements, balance, sums, _energies(part.bond))
@@ -99,7 +99,7 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     """The full domain in which each computed part replaces its sub-domain. No node may be modified by two parts. New splats are
-    numbered after the existing bodies, in the order of the parts. Existing numbers do not change."""
+    numbered after the existing bodies, in the order of the parts. Existing indices do not change."""
     mesh = whole.target.mesh
     domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
     placed, buried, before = [], [whole.buried], n
@@ -119,7 +119,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
             count, n, facets = count + part.count - first, n + len(splats.nodes), facets + len(splats.facets)
         covered = facet[part.buried]
         buried.append(covered[covered >= 0])
-        # numbers of its nodes in the new full domain, and those that its impact can change
+        # indices of its nodes in the new full domain, and those that its impact can change
         placed.append((cut, part, node, (node >= before) | np.isin(node, cut.nodes)))
     domain = merge(domains)[0]
     for cut, part, node, _ in placed:
@@ -183,11 +183,11 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
     return which[nodes] | which[triangles].any(axis=1)
 
 
-def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
-    """Overwrite the rows `ids` of a record with rows of `part`. number: row in the record of each row of the part, -1 for none."""
-    row = np.full(int(number.max()) + 1, -1)
-    kept = np.flatnonzero(number >= 0)
-    row[number[kept]] = kept
+def _replace(record: R, part: R, ids: np.ndarray, index: np.ndarray) -> None:
+    """Overwrite the rows `ids` of a record with rows of `part`. index: row in the record of each row of the part, -1 for none."""
+    row = np.full(int(index.max()) + 1, -1)
+    kept = np.flatnonzero(index >= 0)
+    row[index[kept]] = kept
     rows = row[ids]
     values = arrays_of(part)
     for name, array in arrays_of(record).items():

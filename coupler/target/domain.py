@@ -82,10 +82,10 @@ def domain_of(body: BodyState, name: str) -> Domain:
 
 def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tuple[Domain, np.ndarray]:
     """One domain from several, numbered outwards from the nearest of the origins (m) in present positions; without origins the
-    order of nodes and elements does not change. Bodies and laws follow in the order of the domains.
+    order of nodes and elements does not change. Bodies and laws have the order of the domains.
 
-    shell (m): thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and numbers in a shell
-    follow a space-filling curve: neighbours in space are neighbours in memory. Returns also the new number (n,) of each node.
+    shell (m): thickness of shells. If positive, the distance of a node is that of the inner face of its shell, and indices in a shell
+    follow a space-filling curve: neighbours in space are neighbours in memory. Returns also the new index (n,) of each node.
     """
     nodes = np.cumsum([0, *(len(d.mesh.points) for d in domains)])
     elements = np.cumsum([0, *(len(d.mesh.conn) for d in domains)])
@@ -106,11 +106,11 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
         by_node = np.lexsort([morton(x), distance])
     else:
         by_node = np.argsort(distance, kind="stable")
-    rank = new_numbers(by_node, len(x))
+    rank = new_indices(by_node, len(x))
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
     reach = least_at_corners(distance[by_node], conn)
     by_element = np.argsort(least_at_corners(np.arange(len(x)), conn) if shell > 0.0 else reach, kind="stable")
-    element_rank = new_numbers(by_element, len(conn))
+    element_rank = new_indices(by_element, len(conn))
     facet_nodes = np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)])
     behind = np.concatenate([element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)])
 
@@ -128,11 +128,11 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
     return Domain(mesh, node_state, element_state, body, np.concatenate([d.laws for d in domains])), rank
 
 
-def new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
-    """New number (n,) of each of n rows if only the rows `kept` remain, in their order; -1 for removed rows."""
-    number = np.full(n, -1)
-    number[kept] = np.arange(len(kept))
-    return number
+def new_indices(kept: np.ndarray, n: int) -> np.ndarray:
+    """New index (n,) of each of n rows if only the rows `kept` remain, in their order; -1 for removed rows."""
+    index = np.full(n, -1)
+    index[kept] = np.arange(len(kept))
+    return index
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
@@ -155,14 +155,14 @@ class Selection:
 def select(domain: Domain, chosen: np.ndarray) -> Selection:
     """The part of a domain with the elements of the mask `chosen` (m,).
 
-    Nodes keep their volumes, including shares of elements outside. Facet sets "splat1" and so on have the new numbers of the bodies.
+    Nodes keep their volumes, including shares of elements outside. Facet sets "splat1" and so on have the new indices of the bodies.
     """
     mesh, body = domain.mesh, domain.body
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
     nodes, bodies = occurring(mesh.conn[elements], len(mesh.points)), occurring(body[elements], len(domain.laws))
 
-    node, element = new_numbers(nodes, len(mesh.points)), new_numbers(elements, len(mesh.conn))
-    facet, of_body = new_numbers(facets, len(mesh.facets)), new_numbers(bodies, len(domain.laws))
+    node, element = new_indices(nodes, len(mesh.points)), new_indices(elements, len(mesh.conn))
+    facet, of_body = new_indices(facets, len(mesh.facets)), new_indices(bodies, len(domain.laws))
     names = {f"{SPLAT}{b}": of_body[b] for b in range(1, len(domain.laws))}
     kept = {name: facet[ids][facet[ids] >= 0] for name, ids in mesh.sets.items()}
     conn = node[mesh.conn[elements]]

@@ -50,9 +50,9 @@ def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarr
     rest positions, because elements beyond the edge have not moved."""
     if before.edge is None:
         return None
-    number, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
-    known = np.flatnonzero(number >= 0)
-    row[number[known]] = known
+    index, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
+    known = np.flatnonzero(index >= 0)
+    row[index[known]] = known
     nodes = row[before.nodes.node_number[before.edge.nodes]]
     return nodes, before.edge.rest - now.nodes.x[nodes]
 
