@@ -70,7 +70,7 @@ def _deepest(h: History, margin: float, jump: float) -> float:
 
 @njit(cache=True, nogil=True)
 def deepest(rows: Ints, history: Histories, points: Points, jump: float) -> Floats:
-    """Largest depth (k,) m of each of the points `rows` that keeps its contact, see `_update_history`."""
+    """Largest depth (k,) m at which each of the points `rows` keeps its contact, see `_update_history`."""
     limit = np.empty(len(rows))
     for q in range(len(rows)):
         i = rows[q]

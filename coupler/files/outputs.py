@@ -54,13 +54,13 @@ def claim_folder(
     for path in present:
         if path.is_dir() and not path.is_symlink():
             raise StoreError(f"cannot write {path}: there is a folder of this name; choose {ELSEWHERE}")
-    ways, other = ELSEWHERE + ("" if force is None else f", or add {REPLACE}"), not force and kind_of(folder) != kind
+    choice, other = ELSEWHERE + ("" if force is None else f", or add {REPLACE}"), not force and kind_of(folder) != kind
     if present and other:
         there = f"{present[0].name}, which was not {MARK} as part of a {kind}"
-        raise StoreError(f"{folder} holds {there}: choose {ways}{' to replace it' if force is not None else ''}")
+        raise StoreError(f"{folder} holds {there}: choose {choice}{' to replace it' if force is not None else ''}")
     if other and folder.is_symlink() and any(folder.iterdir()):
         there = f"{folder.resolve()}, a folder with files that coldspray did not write"
-        raise StoreError(f"{folder} is a link to {there}: choose {ways}")
+        raise StoreError(f"{folder} is a link to {there}: choose {choice}")
     if kind_of(folder) not in ("", kind) and not force:
         raise StoreError(f"{folder} holds the results of coldspray {kind_of(folder)}: choose {ELSEWHERE}")
     try:
@@ -138,7 +138,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None:
-    """Write the TOML text from which a folder is computed. but: keys that may change. Raises StoreError if it holds another `what`."""
+    """Write to `path` the TOML text from which its folder is computed. what: kind of the text, for the message; but: keys that may
+    differ from those of an existing file. Raises StoreError if others differ."""
     free = dict.fromkeys(but)
     if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
         raise StoreError(

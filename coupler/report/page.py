@@ -253,7 +253,7 @@ def _energy(page: Page, history: Mapping[str, NDArray]) -> str:
         return ""
     caption = (
         "The initial kinetic energy of the particle becomes these terms, in % for each impact. The "
-        "stack is the sum of all terms of the ledger; its distance from 100 % is the drift below."
+        "stack is the sum of all terms of the ledger; its difference from 100 % is the drift, shown below."
     )
     drift = page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")
     return f'<p class="caption">{caption}</p>{stack}{drift}'

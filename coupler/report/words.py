@@ -68,8 +68,8 @@ def columns(summary: Summary) -> dict[str, Block]:
 
 
 def plain(values: Block) -> Block:
-    """The values that belong into a table of measures. Texts of the verdict, tables and lists of tables are left out, and the rebound
-    velocity of a particle that sticks."""
+    """The values that a table of measures shows. Left out are texts of the verdict, tables, lists of tables, and the rebound velocity
+    of a particle that sticks."""
     hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
     first = {k: next(iter(value), {}) if isinstance(value, list) else value for k, value in values.items()}
     return {k: values[k] for k, item in first.items() if k not in hidden and not isinstance(item, Mapping | list)}
@@ -290,8 +290,8 @@ def title(result: Result) -> str:
             for words, sizes in groups.items()
         )
         ground = [*(layer for layer, _ in plan["target"].get("layers", ())), plan["target"]["material"]]
-        on = " / ".join(metal["name"][:40] for metal in ground)
-        text = f"{bodies} on {on} at {span(velocities)} m/s"
+        base = " / ".join(metal["name"][:40] for metal in ground)
+        text = f"{bodies} on {base} at {span(velocities)} m/s"
         return text + (f" and {span(angles)}°" if span(angles) != "0" else "")
     except (LookupError, TypeError, ValueError, AttributeError, ZeroDivisionError):
         return result.directory.resolve().name

@@ -56,7 +56,7 @@ def compute(scene: Scene, folder: Path, points: Sequence[int], jobs: int, log: L
 
 def lines(rows: Sequence[Row]) -> list[str]:
     """Text lines: number of points, time, and each measure with its error. There is a column for each row of the table; the failures
-    follow."""
+    come last."""
     done = [row for row in rows if not row["failed"]]
     cells = [["points", *(str(row["points"]) for row in done)]]
     cells += [["wall time, s", *(f"{row['wall_s']:.3g}" for row in done)]]

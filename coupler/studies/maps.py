@@ -143,7 +143,7 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
     places = np.unique(_unit(logs).round(9), axis=0)
     needed = FEWEST_IN_PLANE if len(axes) == 2 else POINTS_PER_AXIS * len(axes)
     if len(places) < needed:
-        return f"{len(places)} points; an interpolation over {len(axes)} axes needs {needed} points spread over them"
+        return f"there are {len(places)} different points, but an interpolation over {len(axes)} axes needs {needed} points"
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if sizes[-1] < SPREAD * sizes[0]:
         where = "one line" if len(axes) == 2 else "one plane"
@@ -234,23 +234,23 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
     label = measure(quantity).label
     if quantity in FORMULAS:
         return NextPoint({}, f"{label} is a formula of the scene and needs no run")
-    taken = {tuple(row[axis] for axis in axes) for row in rows if row["status"] != "unfinished"}
+    used = {tuple(row[axis] for axis in axes) for row in rows if row["status"] != "unfinished"}
     for a, b, below, above in brackets(rows, axes):
-        if (place := _between(a, b, axes)) not in taken:
+        if (place := _between(a, b, axes)) not in used:
             differing = [k for k in range(len(axes)) if a[k] != b[k]]
             ends = [", ".join(shown(axes[k], end[k]) for k in differing) for end in (a, b)]
             return NextPoint(dict(zip(axes, place, strict=True)), f"{below} at {ends[0]}, {above} at {ends[1]}")
     known = {tuple(float(row[axis]) for axis in axes): float(row[quantity]) for row in with_value(rows, quantity)}
     best: tuple[float, Place] = (-1.0, ())
     if fit is not None:
-        ordered = sorted({_between(a, b, axes) for a, b in itertools.combinations(sorted(known), 2)} - taken)
+        ordered = sorted({_between(a, b, axes) for a, b in itertools.combinations(sorted(known), 2)} - used)
         for part in (ordered[k : k + 4096] for k in range(0, len(ordered), 4096)):
             band = fit(*np.array(part).T)[1]
             best = max(best, (float(band.max()), part[int(band.argmax())]))
         why = f"band +- {shown(quantity, BAND * best[0], digits=3, named=False)}"
     else:
         for _, a, b in _neighbours(list(known), axes):
-            if (place := _between(a, b, axes)) not in taken:
+            if (place := _between(a, b, axes)) not in used:
                 best = max(best, (abs(known[b] - known[a]), place))
         why = ""
     if not best[1]:

@@ -277,7 +277,7 @@ def quantile_of(table: object) -> Quantile:
     if kind == "normal" and numbers["deviation"][1] == "degC":
         raise ValueError("deviation: give the value in K")
     is_sound, problem = {
-        "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "the value of from must be below that of to"),
+        "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "`from` must be below `to`"),
         "log-normal": (a > 0.0 and b > 1.0, "median must be above zero and spread above 1"),
     }[kind]  # fmt: skip
     low, high = (numbers[key][0] if key in numbers else end for key, end in zip(LIMITS, (-np.inf, np.inf), strict=True))

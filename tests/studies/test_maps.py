@@ -164,7 +164,7 @@ def test_four_points_on_a_diagonal_give_no_surface(tmp_path, capsys, figures) ->
     """Four values of each axis, but no point of (10 um, 900 m/s), where a surface was off by three times its band."""
     made(tmp_path, scattered([(10, 300), (14, 450), (18, 650), (25, 900)]))
     said = drawn(tmp_path, capsys)
-    assert "4 points; an interpolation over 2 axes needs 12 points spread over them" in said
+    assert "4 different points, but an interpolation over 2 axes needs 12" in said
     assert "rms" not in said
     assert "best next point: velocity " in said
     assert labels(figures["map_Ni_flattening_ratio"]) == {"no verdict"}
