@@ -49,7 +49,7 @@ def parse(value: object, dimension: str) -> float:
     """Read a quantity such as "25 um".
 
     value: text with a number and a unit; other values are refused. dimension: a name such as "length". Returns the value in the SI unit
-    of the dimension (angles: radians, temperatures: kelvin). Raises UnitError with a message to follow "particle.diameter = 25: ".
+    of the dimension (angles: radians, temperatures: kelvin). Raises UnitError with a message that continues "particle.diameter = 25: ".
     """
     wanted = _wanted(dimension)
     if not isinstance(value, str):

@@ -32,7 +32,7 @@ def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layo
     return {"data": [*traces], "layout": {**axes, **base, **layout}, "config": config}
 
 
-def window(job: Job, powder: str) -> Figure:
+def deposition_window(job: Job, powder: str) -> Figure:
     """Velocity against temperature at impact for the size classes of a metal powder, with the critical velocities by the formula for a
     particle of diameter D50."""
     spray, own, lines = job.arrived[powder], job.powders[powder], []

@@ -19,7 +19,7 @@ from ..spray import nozzles
 from ..units import parse, show
 from . import figures
 from .form import Entries, Form, entries_of
-from .looks import Look, Now, as_csv, look, now
+from .previews import Now, Preview, as_csv, now, preview
 from .workspace import COATING, FINISHED, JOB, QUEUED, RUNNING, STOPPED, UNDECIDED, Row, Workspace
 
 UPLOAD = 1_000_000  # bytes
@@ -110,7 +110,7 @@ def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") 
         except ValueError as error:
             toml, problems = "", [str(error)]
         path = workspace.root / f"{name.value or 'unnamed'}.toml"
-        seen = Look(problems) if problems else await run.io_bound(look, toml, path, page.verb, workspace.here)
+        seen = Preview(problems) if problems else await run.io_bound(preview, toml, path, page.verb, workspace.here)
         if mine == turn and seen is not None:
             rest.set_text(form.show(seen.problems))
             start.set_enabled(not seen.problems)
@@ -138,7 +138,7 @@ def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") 
                 bar.set_visibility(bool(page.verb))
             with ui.column().classes("w-full gap-3") as side:
                 answer = ui.refreshable(_answer)
-                answer(Look(), "")
+                answer(Preview(), "")
         if not page.verb:
             _nozzles()
     ui.timer(0.05, check, once=True)
@@ -152,7 +152,7 @@ def _copied(workspace: Workspace, name: str) -> str:
     return read_text(next((path for path in places if path.is_file()), places[1]))
 
 
-def _answer(seen: Look, name: str) -> None:
+def _answer(seen: Preview, name: str) -> None:
     """Show the preview of the values of a form."""
     if seen.numbers:
         with ui.element("div").classes("grid grid-cols-1 sm:grid-cols-2 gap-x-5 gap-y-2 w-full"):
@@ -234,7 +234,7 @@ def _run(workspace: Workspace, name: str) -> None:
             if row.state in (RUNNING, QUEUED):
                 ui.button("Stop", icon="stop", on_click=lambda: act(workspace.stop, folder))
             if row.state in (STOPPED, UNDECIDED):
-                ui.button("Go on", icon="play_arrow", on_click=lambda: act(workspace.go_on, folder))
+                ui.button("Go on", icon="play_arrow", on_click=lambda: act(workspace.resume, folder))
             ui.button("Copy scene", icon="content_copy", on_click=copy).props("flat")
             if row.state == FINISHED and row.kind == COATING:
                 measure = ("coating", str(folder))

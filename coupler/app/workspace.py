@@ -108,7 +108,7 @@ class Workspace:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / LOG).open("a") as log:
             try:
-                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)  # held by the process, and by what it starts
+                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)  # locked by the process, and by what it starts
             except BlockingIOError:
                 raise StoreError(f"{folder.name} is already in the queue or running: stop it first") from None
             log.truncate(0)
@@ -128,7 +128,7 @@ class Workspace:
         self.start(folder, verb, str(self.save(name, text)), "--out", str(folder))
         return folder
 
-    def go_on(self, folder: Path) -> None:
+    def resume(self, folder: Path) -> None:
         """Put a stopped run, an undecided run or a job into the queue again. Raises StoreError for other folders."""
         if not _is_ours(folder):
             raise StoreError(f"{folder.name} is not the folder of a run or a job, and cannot be continued")

@@ -97,7 +97,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     coarsest = max(LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes)))
     pace = here() if within else None
 
-    def takes(points: int) -> float:
+    def time_of(points: int) -> float:
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0
 
     if asked is not None:
@@ -108,13 +108,13 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
                 f" is about {least:.2g} %. Give at least this percentage (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
-        if (needed := takes(points)) > limit:
+        if (needed := time_of(points)) > limit:
             raise ColdsprayError(
                 f"--accuracy {accuracy} needs {points} points and about {duration(needed)} on this machine, which exceeds --within"
                 f" {within}: increase --within or --accuracy"
             )
     else:
-        if (needed := takes(coarsest)) > limit:
+        if (needed := time_of(coarsest)) > limit:
             raise ColdsprayError(
                 f"--within {within} is too short: with {coarsest} points, the smallest allowed number, this scene takes about"
                 f" {duration(needed)} on this machine; increase --within, or reduce [end] time"
@@ -122,11 +122,11 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
         low, high = coarsest, max(MOST, coarsest)
         while high - low > 0.02 * high:
             middle = round(math.sqrt(low * high))
-            low, high = (middle, high) if takes(middle) <= limit else (low, middle)
-        points = high if takes(high) <= limit else low
+            low, high = (middle, high) if time_of(middle) <= limit else (low, middle)
+        points = high if time_of(high) <= limit else low
     resolved = at_points(scene, points)
     forecast = refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))
-    text = f"resolution chosen: {points} points" + (f", about {duration(takes(points))} here" if pace else "")
+    text = f"resolution chosen: {points} points" + (f", about {duration(time_of(points))} here" if pace else "")
     text += f"; shape within {100.0 * max(forecast[key] for key in SHAPE):.2g} % (expected)"
     given = [f"resolution.{key}" for key in ("spacing", "element_size") if dict(scene.resolution)[key] is not None]
     return resolved, text + (f"; this replaces {' and '.join(given)} in the scene" if given else "")

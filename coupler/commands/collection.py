@@ -104,7 +104,7 @@ def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
 
 
 def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object], str]:
-    """The table of a metal, completed with heat capacity and conductivity, and a remark. Missing values are taken from the metal of
+    """The table of a metal, completed with heat capacity and conductivity, and a remark. Missing values come from the metal of
     the library with the nearest density."""
     from ..physics import materials
 

@@ -101,7 +101,7 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
-    """Draw velocity against temperature at impact as PNG: the size classes of the powder, and the limits of the window of deposition
+    """Draw velocity against temperature at impact as PNG: the size classes of the powder, and the limits of the deposition window
     for the median diameter (m). Filled markers: classes above their own critical velocity, which depends on the diameter. within:
     relative uncertainty of the critical velocity; conditions: gas and nozzle, for the title."""
     import numpy as np

@@ -30,7 +30,7 @@ class ContactPast(NamedTuple):
     sums: ContactSums = ContactSums()
 
     def renumbered(self, node: np.ndarray, count: int) -> "ContactPast":
-        """The same data for a new numbering of `count` nodes. node (N,): new number of each node, -1 for a removed node."""
+        """The same data for a new numbering of `count` nodes. node (N,): new index of each node, -1 for a removed node."""
         nodes, kept = new_history(count), node >= 0
         nodes[node[kept]] = self.nodes[kept]
         return self._replace(nodes=nodes)
@@ -58,7 +58,7 @@ class BodyContact(BodyContactState):
     def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
         """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient."""
         self.surfaces = surfaces
-        self._is_new = True  # the first search takes the bonded nodes as they are
+        self._is_new = True  # bonds before the first search are not new: no history is cleared
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
         alike = [max(body, 1) for body in bodies]  # the stiffness does not change when later bodies join
         spacing = [surfaces.spacing(x, b) for b in alike]
@@ -192,6 +192,6 @@ class BodyContact(BodyContactState):
         """Continue from the contact `past` of the previous set of bodies: keep its friction springs and its energy sums."""
         c = self.pairs
         c.history[:] = past.nodes[c.points.node]
-        c.history["body"] = ANY  # the bodies had other numbers
+        c.history["body"] = ANY  # the bodies had other indices
         c.sums = copied(past.sums)
         c.expire()

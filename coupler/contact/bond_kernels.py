@@ -128,7 +128,7 @@ def bond_forces(
     bonds. Returns the stored energy and the energy dissipated by this call, J. Forces and moments of each bond are in balance.
 
     depth (n,) m: positive: penetration of point i in its contact; 0: only a neighbour of the point is in contact (`in_contact`);
-    negative: no contact. In contact the normal traction is compressive: delta is 0 and gap follows the surface, so that the opening
+    negative: no contact. In contact the normal traction is compressive: delta is 0 and gap moves with the surface, so that the opening
     starts where the contact ends. In contact, slip reduces the strength by at most the share 1 - rewelds. `loose` bonds do not resist
     compression. active: number of nodes that move, the first ones; bonds between other nodes do not change and add no forces.
     """

@@ -59,6 +59,6 @@ class ParticleBonds:
         whole = np.count_nonzero(~self.bond.broken)
         return float(self.bond.resistance.sum()) if whole >= FEWEST else 0.0
 
-    def gives_way(self, energy: float) -> bool:
+    def may_break(self, energy: float) -> bool:
         """Whether the bonds may break: `energy` (J) is at least SECURE times the energy that all springs can absorb."""
         return SECURE * float(self.bond.resistance.sum()) <= energy

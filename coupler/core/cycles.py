@@ -9,7 +9,7 @@ SEARCH_AFTER = 10_000
 
 
 def search_cycles_less() -> None:
-    """Let this process search for cycles of references less often, and not as it ends: the system takes back its memory, and the last
+    """Let this process search for cycles of references less often, and not as it ends: the system frees its memory, and the last
     searches would take 0.5 s."""
     gc.set_threshold(SEARCH_AFTER)
     atexit.register(gc.freeze)

@@ -53,16 +53,16 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
             break
         yield count * part // parts, count * (part + 1) // parts, part
         _add(team, 2 * loop + 1, 1)
-    looks = 0
+    polls = 0
     while _add(team, 2 * loop + 1, 0) < parts and team[FAILED] == 0:
-        looks += 1
-        if looks > SPINS:
+        polls += 1
+        if polls > SPINS:
             _yield_processor()
 
 
 @njit(cache=True, nogil=True)
 def wait_for(team: Ints) -> None:
     """Wait about a millisecond at most until another thread begins a range, without sleeping."""
-    looks = 0
-    while _add(team, 0, 0) == 0 and looks < PATIENCE:
-        looks += 1
+    polls = 0
+    while _add(team, 0, 0) == 0 and polls < PATIENCE:
+        polls += 1

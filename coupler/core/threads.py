@@ -79,12 +79,12 @@ class Team:
     def _serve(self, queue: "SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]", team: Ints) -> None:
         wait_for(team)
         while (begun := queue.get()) is not None:
-            work, following = begun
+            work, next_team = begun
             del begun
             with suppress(BaseException):  # the calling thread raises it
                 work(team)
             del work  # it holds arrays
-            team = following
+            team = next_team
             wait_for(team)
 
 

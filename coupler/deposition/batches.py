@@ -57,14 +57,14 @@ def tasks(
 ) -> Iterator[tuple[Task, Cut]]:
     """The impacts of a batch with their sub-domains, up to the first whose sub-domain shares a node with an earlier one. whole: the
     full domain; folder: folder of the run; about: as in `Task`. A generator: each sub-domain is made when it is requested."""
-    taken = np.zeros(len(whole.target.nodes.x), bool)
-    numbers = range(batch.first, batch.stop)
-    places = points_of_impact(whole, [plan.impacts[i].offset for i in numbers])
-    for i, place in zip(numbers, places, strict=True):
+    occupied = np.zeros(len(whole.target.nodes.x), bool)
+    indices = range(batch.first, batch.stop)
+    places = points_of_impact(whole, [plan.impacts[i].offset for i in indices])
+    for i, place in zip(indices, places, strict=True):
         part, cut = cut_out(whole, place, plan.impacts[i].window)
-        if taken[cut.nodes].any():
+        if occupied[cut.nodes].any():
             break
-        taken[cut.nodes] = True
+        occupied[cut.nodes] = True
         own = folder / TASKS / f"{i + 1:05d}"
         yield Task(plan, i, part.state(), place, 0.0, None, own, {**about, "impact": str(i + 1)}), cut
 

@@ -44,7 +44,7 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
     return bodies.without(~attached, plan.splat_element_size), records
 
 
-def held_at_rest(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
+def all_attached(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
     """The bodies at rest without splats that are not attached, and the records of these. After each removal the others come to rest
     again, until all are attached. Arguments as for `without_detached`; kinetic_0: initial kinetic energy of the impact, J."""
     records: list[Values] = []

@@ -31,8 +31,8 @@ Compute = Callable[[Scene, Path, float, Mapping[str, float], int], None]
 
 @dataclass
 class Companions:
-    """The coarser runs of a run, from which its error follows. plan, folder, numerics: plan, folder and numerics of the run; compute:
-    function that computes a scene in any process."""
+    """The coarser runs of a run, from which its error is computed. plan, folder, numerics: plan, folder and numerics of the run;
+    compute: function that computes a scene in any process."""
 
     plan: Plan
     folder: Path

@@ -72,7 +72,7 @@ class Deposition:
         return bool(self.records) and self.records[-1].values["undecided"] is not None
 
     @property
-    def can_go_on(self) -> bool:
+    def can_continue(self) -> bool:
         """Whether the last impact so far can continue: it is undecided or without a verdict."""
         return self.undecided or self.records[-1].values["rebounded"] is None
 
@@ -128,12 +128,12 @@ class Deposition:
         return [Done(task, cut, attempt(task, self.options)) for task, cut in found]
 
     def rest(self, batch: Batch, target: Bodies, done: Sequence[Done]) -> Bodies:
-        """The target at rest, with all splats that stay, after a batch and the pause that follows it. done: result of `compute`."""
+        """The target at rest, with all splats that stay, after a batch and the pause after it. done: result of `compute`."""
         if not done:
             return target
         first, computed = len(self.records), clock.perf_counter()
         whole = put_back(target, [(each.cut, restored_target(self.plan, each.of.bodies)) for each in done])
-        self._take_note(target, whole, done, is_written=batch.is_whole)
+        self._record(target, whole, done, is_written=batch.is_whole)
         if self.undecided:
             return whole
         number = len(self.records)
@@ -156,7 +156,7 @@ class Deposition:
             self.options.progress.batch_ended(forecast(self.plan).shares[number][0])
         return whole
 
-    def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
+    def _record(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
         """Store the records of a batch. before, after: the bodies before and after the batch; is_written: whether the batch has
         written into the files of the run."""
         replay, elements = BatchReplay(self.plan, before, after), len(before.target.mesh.conn)
@@ -172,7 +172,7 @@ class Deposition:
         """The closing stage of a plan that has one: bodies cool to ambient, settle and are written. Returns those that stay."""
         if self.plan.ambient is None or self.undecided:
             return target
-        if not self.can_go_on:
+        if not self.can_continue:
             self._save(target, self.store.state())
         self.options.progress.stage("cooling to ambient temperature")
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
@@ -186,7 +186,7 @@ class Deposition:
         (self.folder / PICTURE).unlink(missing_ok=True)  # from an earlier end of this run
         origin = provenance(Result(self.folder).scene_text, self.plan.engine)
         self.store.finish({**self._summary(target), "provenance": origin})
-        if not self.can_go_on:
+        if not self.can_continue:
             checkpoint.clear(self.folder)
             clear(self.folder)
         self.options.progress.record(report.screen(Result(self.folder), verbose=True))

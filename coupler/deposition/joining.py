@@ -22,7 +22,7 @@ from ..target.bodies import Bodies
 from ..target.domain import BodyState, Point
 from ..target.equilibrium import RELAXED, settle
 from ..target.positions import displacement_back, means_of, near
-from .detaching import held_at_rest, release_time, without_detached
+from .detaching import all_attached, release_time, without_detached
 from .pause import pause
 
 REST = 2.25  # radius about an impact point in which equilibrium is computed, over the radius of the sub-domain
@@ -134,7 +134,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
     else:
         settled = settle(bodies, kinetic_0, 0.0, radius=radius)
         report |= {f"whole_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
-    bodies, lost = held_at_rest(plan, bodies, batch.stop, "pause" if batch.pause > 0.0 else "rest", kinetic_0)
+    bodies, lost = all_attached(plan, bodies, batch.stop, "pause" if batch.pause > 0.0 else "rest", kinetic_0)
     report["detached"] += lost
     return bodies
 

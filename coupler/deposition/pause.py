@@ -16,7 +16,7 @@ from ..core.arrays import Links
 from ..fe.conductances import LINK_RESISTANCE
 from ..fe.cooling import cool
 from ..fe.explicit import Target
-from ..fe.heat import take_heat
+from ..fe.heat import add_heat
 from ..fe.model import Elements
 from ..files.summary import Values
 from ..geometry.triangles import areas
@@ -28,7 +28,7 @@ from ..plan.planning import Plan
 from ..target.bodies import Bodies
 from ..target.equilibrium import BALANCED, COOLED, Known, settle
 from ..target.placing import NEAR
-from .detaching import held_at_rest
+from .detaching import all_attached
 
 COOLER = 0.25  # K: a change of temperature that makes about 2 MPa; smaller changes need no new equilibrium
 AT_AMBIENT = 1.0  # K: greatest difference from ambient after the closing stage
@@ -52,10 +52,10 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
-    before, taken, gas = t.elements.T.copy(), t.elements.eps_recovered.copy(), _gas(bodies, plan.surface_heat)
+    before, recovered, gas = t.elements.T.copy(), t.elements.eps_recovered.copy(), _gas(bodies, plan.surface_heat)
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, gas, _recovery(plan, bodies))
     conducted = clock.perf_counter()
-    softer = t.elements.eps_recovered - taken > _SOFTER * t.elements.eps_p
+    softer = t.elements.eps_recovered - recovered > _SOFTER * t.elements.eps_p
     changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
     beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # a shell of the numbering has one distance: all of it
     radius, known = max(radius, float(beyond)), Known()
@@ -69,7 +69,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     bodies that stay (`detaching`), and the report.
 
     Each body gets the thermal strain between its initial temperature, at which it is free of stress, and ambient: from
-    thermal_expansion(T), or from Gamma0 rho c_p / K for a material without it. The fixed faces of the substrate follow its free
+    thermal_expansion(T), or from Gamma0 rho c_p / K for a material without it. The fixed faces of the substrate move with its free
     contraction. Plastic work during the equilibration warms elements; the heat is removed and the equilibration repeated until all
     temperatures are within AT_AMBIENT.
     """
@@ -95,9 +95,9 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     t.balance.heat += float(missing.sum())
     report: Values = {"T_max_before_K": T_max, "T_mean_before_K": T_mean, "ambient_K": ambient, "detached": []}
     for number in range(1, COOLINGS + 1):
-        _take_heat_away(t, ambient)
+        _remove_heat(t, ambient)
         report |= _settled(bodies, kinetic_0, np.inf, known)
-        bodies, detached = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
+        bodies, detached = all_attached(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
         report["detached"] += detached
         t, known = bodies.target, Known() if detached else known
         report |= {"coolings": number, "off_ambient_K": float(np.abs(t.elements.T - ambient).max())}
@@ -151,7 +151,7 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
     return recover
 
 
-def _take_heat_away(t: Target, ambient: float) -> None:
+def _remove_heat(t: Target, ambient: float) -> None:
     """Set all elements to ambient temperature, K, by removal of heat; repeated, because c_p depends on the temperature."""
     m, rho = len(t.elements.T), t.laws["rho"][t.law_of]
     for _ in range(20):
@@ -159,7 +159,7 @@ def _take_heat_away(t: Target, ambient: float) -> None:
             return
         c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.elements.T + ambient))
         gain = rho * t.mesh.V0 * c_p * (ambient - t.elements.T)
-        t.balance.heat += take_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
+        t.balance.heat += add_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
 
 
 def _contraction(metal: Material, T: float, ambient: float) -> float:

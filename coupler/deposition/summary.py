@@ -118,7 +118,7 @@ def unsettled(report: Values) -> list[str]:
         return []
     when, then = "after cooling to ambient", "the stresses are not exactly residual stresses"
     if "impact" in report:
-        when, then = f"after impact {report['impact']}", "the pauses that follow reduce the imbalance"
+        when, then = f"after impact {report['impact']}", "the later pauses reduce the imbalance"
     return [f"{when} the bodies have not reached equilibrium in {RELAX_STEPS} steps: {then}"]
 
 

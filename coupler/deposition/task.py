@@ -115,9 +115,9 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
     finally:
         impact.particle.close()
     result = TaskResult(after.state(), record, prepared, joined, store.state())
-    can_go_on = undecided or record.values["rebounded"] is None
-    if joined or can_go_on:  # else the run ends here
-        files.save(TaskState(last if can_go_on else None, store.state(), result))
+    can_continue = undecided or record.values["rebounded"] is None
+    if joined or can_continue:  # else the run ends here
+        files.save(TaskState(last if can_continue else None, store.state(), result))
     return result
 
 

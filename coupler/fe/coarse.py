@@ -113,7 +113,7 @@ class CoarseGrid:
         def add(low: int, high: int) -> None:
             _stiffness(low, high, m, t.nodes.x, t.mesh.conn, t.laws, t.law_of, points, weights, A, occurs)
 
-        share(add, g, max(g // RANGES, 1))  # each range looks at all elements
+        share(add, g, max(g // RANGES, 1))  # each range reads all elements
         row, column = occurs.nonzero()
         starts = np.searchsorted(row, np.arange(g + 1))
         stiff = sparse.bsr_array((A[row, column], column, starts), shape=(3 * g, 3 * g)).tocsr()

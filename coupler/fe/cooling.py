@@ -17,7 +17,7 @@ from ..errors import SolverError
 from ..geometry.products import solve, times
 from .conductances import Conductances, levels
 from .explicit import Target
-from .heat import LEAST, gains, means, shares, take_heat
+from .heat import LEAST, add_heat, gains, means, shares
 from .model import Elements
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
@@ -59,9 +59,9 @@ def cool(
     def lose(lo: int, hi: int) -> None:
         own[lo:hi] = excess[lo:hi] * -np.expm1(-dt * rate[lo:hi])
 
-    def add_heat(lo: int, hi: int) -> None:
+    def absorb(lo: int, hi: int) -> None:
         gains(lo, hi, t.mesh.conn, carried, change, own, gain)
-        take_heat(lo, hi, gain, t.cells, t.metals, elements)
+        add_heat(lo, hi, gain, t.cells, t.metals, elements)
         carry(lo, hi)
 
     before = _extremes(t)
@@ -69,7 +69,7 @@ def cool(
     T = nodal(t.elements.T)
     from_gas, T_gas = gas or (np.zeros(n), 0.0)
     matrix = Conductances.of(t.nodes.x, t.cells, Links.joined(links), from_gas)
-    dt, left, steps, taken = 0.0, time, 0, 0.0
+    dt, left, steps, removed = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
     while left > 0.0:
         share(level, m, LEAST)
@@ -93,9 +93,9 @@ def cool(
             change += weight * stage
         # each element gets the increments of its nodes, and loses its excess over them
         recover(0.5 * dt)
-        share(add_heat, m, LEAST)
+        share(absorb, m, LEAST)
         recover(0.5 * dt)
-        taken -= float(gain.sum())
+        removed -= float(gain.sum())
         T += change
         left = left - dt if dt < left else 0.0
         steps += 1
@@ -104,7 +104,7 @@ def cool(
     after = _extremes(t)
     return {
         "time_s": time, "heat_steps": float(steps), "T_max_before_K": before[0], "T_max_after_K": after[0],
-        "T_mean_before_K": before[1], "T_mean_after_K": after[1], "taken_away_J": taken,
+        "T_mean_before_K": before[1], "T_mean_after_K": after[1], "taken_away_J": removed,
     }  # fmt: skip
 
 

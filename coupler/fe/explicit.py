@@ -22,7 +22,7 @@ from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
-from .heat import Conduction, ConductionState, take_heat
+from .heat import Conduction, ConductionState, add_heat
 from .inertia import ElementInertia, InertiaState, step_for
 from .mesh import TetMesh, cells_of
 from .model import Active, Elements, Metals, Nodes, Viscosity
@@ -281,9 +281,9 @@ class Target(TargetState):
         if len(self.fixed):
             self.support -= motion.sum_at(self.fixed, self.nodes.total)
         if self.inertia.most > 0.0:
-            lost, taken = self.inertia.advance(self, self.nodes.total, self.active_nodes, self.dt_last)
+            lost, reduction = self.inertia.advance(self, self.nodes.total, self.active_nodes, self.dt_last)
             self.balance.numerical += lost
-            self.support -= taken
+            self.support -= reduction
 
     def add_up(self, dt: float) -> None:
         """Add up internal and external forces of the active nodes, and the work of the internal forces in a step of dt s."""
@@ -325,7 +325,7 @@ class Target(TargetState):
             raise unfit("the target has other boundaries")
         check_indices(state.inertia, nodes=n)
         if len(state.inertia.taken) != len(state.inertia.last):
-            raise unfit("the forces of scaled elements belong to other nodes")
+            raise unfit("the forces of the scaled elements do not fit their nodes")
         if (self.conduction is None) != (state.conduction is None):
             raise unfit("only one of the target and the checkpoint conducts heat")
         if state.highest is not None:
@@ -410,7 +410,7 @@ class Target(TargetState):
             self.reach = float(np.nextafter(reached, np.inf))
             self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.elements.T)), float)
-        self.balance.heat += take_heat(
+        self.balance.heat += add_heat(
             0, self.active_elements, gain, self.cells, self.metals, Elements.of(self.elements)
         )
 

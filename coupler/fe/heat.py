@@ -143,7 +143,7 @@ def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elem
             a.T[i] += a.change[i]
     for lo, hi, _ in ranges(team, 2, m, LEAST):
         gains(lo, hi, c.conn, a.share, a.change, a.own, a.gain)
-        take_heat(lo, hi, a.gain, c, metals, elements)
+        add_heat(lo, hi, a.gain, c, metals, elements)
         a.last[lo:hi] = elements.T[lo:hi]
 
 
@@ -208,7 +208,7 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 
 @njit(cache=True, nogil=True)
-def take_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
+def add_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
     """Add heat gain (m,) J to elements: T increases by the enthalpy, sigma_y decreases by softening, and `heat` increases by the
     part that raises pressure. Returns the sum of this part, J."""
     total = 0.0

@@ -7,7 +7,7 @@ The nodal masses m do not change. The element e adds to the mass matrix
 over its four nodes (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436). Translations are not affected, so
 that linear momentum is conserved; relative motions of the nodes of one element, its rotation included, are slower. An element with
 its own step t_e is stable with the step T. Only the nodes of the few scaled elements need a linear system for their accelerations.
-The work that the added inertia takes from the forces is numerical dissipation in the ledger.
+The work that the added inertia subtracts from that of the forces is numerical dissipation in the ledger.
 """
 
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ class InertiaState:
 class ElementInertia(InertiaState):
     """The elements of one target that have an added inertia (scaled elements). They are chosen before each chunk of steps.
 
-    elements (s,): their numbers; factor (s,): (T / t_e)^2 of each; nodes (k,): their nodes that are not fixed.
+    elements (s,): their indices; factor (s,): (T / t_e)^2 of each; nodes (k,): their nodes that are not fixed.
     """
 
     def __init__(self) -> None:

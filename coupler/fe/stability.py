@@ -189,7 +189,7 @@ class HighestFrequency(FrequencyState):
         mesh, inertia = t.mesh, inertia or ElementInertia()
         mass, inverse = masses or (t.mass, t.inv_mass)
         w, f = self._r.w[:n], self._r.f
-        for of_element in (self._r.dv, self._r.fe):  # elements that have become inactive do not take part
+        for of_element in (self._r.dv, self._r.fe):  # elements that have become inactive are not part of the iteration
             of_element[m : self._elements] = 0.0
         self._elements, self._random.bit_generator.state = m, self.random
         size = float(np.sqrt(np.mean(w * w))) if self.warm else 0.0

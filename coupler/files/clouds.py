@@ -92,7 +92,7 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
         count, lines = int(head[0]), head[2].splitlines()
         if count > len(lines):
-            raise ValueError(f"its first line states {count} points, but {len(lines)} lines follow")
+            raise ValueError(f"its first line states {count} points, but {len(lines)} lines come after it")
         text = "\n".join(lines[:count])
     table = read_table(text, columns)
     axes = {_AXES[name.lower()]: name for name in table.columns if name.lower() in _AXES}

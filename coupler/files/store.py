@@ -60,12 +60,12 @@ class Store:
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
             check_folder(directory)
-            ways = f"add {REPLACE} to replace it, or choose {ELSEWHERE}"
+            remedies = f"add {REPLACE} to replace it, or choose {ELSEWHERE}"
             if (directory / SUMMARY).exists() and not force:
-                raise StoreError(f"{directory} holds a finished run; {ways}")
+                raise StoreError(f"{directory} holds a finished run; {remedies}")
             if checkpoint.stored(directory) and not force:
                 resume = f"continue it with coldspray resume {directory}"
-                raise StoreError(f"{directory} holds an unfinished run; {resume}, {ways}")
+                raise StoreError(f"{directory} holds an unfinished run; {resume}, {remedies}")
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
             store = cls(directory, lock_folder(directory))
             try:
@@ -185,7 +185,7 @@ class Store:
             write_text(self.directory / SUMMARY, json.dumps(json.loads(plain), indent=2) + "\n")
 
     def close(self) -> None:
-        """Close all files. Errors during closing are ignored, because a failed write has already raised an error."""
+        """Close all files. Errors of this are ignored, because a failed write has already raised an error."""
         with contextlib.suppress(Exception):
             if self._history is not None:
                 self._history.close()

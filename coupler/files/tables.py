@@ -71,9 +71,9 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
         raise ValueError("two of its columns have the same name: name them with --columns, where - leaves a column out")
     words = [(name, rows[0][k][:30]) for k, name in wanted if k not in columns]
     notes += [f"column {name!r} is left out: {word!r} is not a number" for name, word in words]
-    taken = {name: columns[k] for k, name in wanted if k in columns}
+    chosen = {name: columns[k] for k, name in wanted if k in columns}
     units = {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}
-    return Table(taken, units, notes)
+    return Table(chosen, units, notes)
 
 
 def _separator(line: str) -> str:

@@ -48,14 +48,14 @@ def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray
     points (n,3), triangles (m,3), all of one orientation: a hole has the orientation opposite to its outline.
     """
     segments = section_of_triangles(points, triangles, y).tolist()
-    following = {tuple(start): tuple(end) for start, end in segments}
+    end_of = {tuple(start): tuple(end) for start, end in segments}
     loops = []
-    while following:
-        start, corner = following.popitem()
+    while end_of:
+        start, corner = end_of.popitem()
         chain = [start]
-        while corner in following:
+        while corner in end_of:
             chain.append(corner)
-            corner = following.pop(corner)
+            corner = end_of.pop(corner)
         if len(chain) > 2:
             loops.append(crossing(points, np.array(chain), y)[0])
     return loops

@@ -63,9 +63,9 @@ class EndCriterion(EndState):
         self, time: float, sinking: float, force: float, grip: Grip = "free", is_above: bool = True, work: float = 0.0
     ) -> None:
         """Record the state at `time` s. sinking (m/s): speed of the centre of mass towards the ground; force (N): upward contact force
-        on the particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held", "secure" (bonds can
-        absorb far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether its centre is above
-        the target; work (J): energy dissipated so far."""
+        on the particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held" (bonds hold it),
+        "secure" (bonds can absorb far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether
+        its centre is above the target; work (J): energy dissipated so far."""
         if self.time > 0.0:  # mean over about `quiet` s
             share = -math.expm1((self.time - time) / self.quiet)
             self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
@@ -103,7 +103,7 @@ class EndCriterion(EndState):
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 
     @property
-    def is_held(self) -> bool:
+    def touches(self) -> bool:
         """Whether the contact had a force when last observed. If so, it holds an embedded particle."""
         return self.loud == self.time
 

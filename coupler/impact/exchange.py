@@ -100,7 +100,7 @@ class Impact(Course):
         energy stored in the bonds."""
         if self.bonds is None or self.bonds.bond.broken.all():
             return "free"
-        if self.sinking < 0.0 and self.bonds.gives_way(self.normal_energy):
+        if self.sinking < 0.0 and self.bonds.may_break(self.normal_energy):
             return "free"
         ratio = self.bonds.resistance / max(self.normal_energy + self.bonds.bond.stored, 1e-300)
         return "failing" if ratio <= 1.0 else "held" if ratio < SECURE else "secure"

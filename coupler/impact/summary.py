@@ -57,7 +57,7 @@ def summarise(
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     law, impact_plan = recorder.plan.adhesion, recorder.impact_plan
-    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.is_held, broken, sunk, speed)
+    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.touches, broken, sunk, speed)
     own |= _computed(impact, recorder)
     own |= {"wall_s": wall, "wall_loop_s": looped, "idle_share": particle.idle(looped), "undecided": undecided}
     end: Values = {**measured}
@@ -93,10 +93,10 @@ def _broken(recorder: Recorder) -> str:
 
 def _cracked(recorder: Recorder) -> str:
     """The tensile stress of the ceramic in a particle; "" if it stays below its limit, or there is none."""
-    number, seen = recorder.impact_plan.brittle, recorder.seen
-    if number is None or seen.broken_share < BROKEN_SHARE:
+    index, seen = recorder.impact_plan.brittle, recorder.seen
+    if index is None or seen.broken_share < BROKEN_SHARE:
         return ""
-    limit = (recorder.impact_plan.materials[number].tensile_limit or 0.0) / 1e6
+    limit = (recorder.impact_plan.materials[index].tensile_limit or 0.0) / 1e6
     return f"tensile stress of up to {seen.tension / 1e6:.0f} MPa, above {limit:.0f} MPa at {seen.broken_share:.0%} of its points"
 
 

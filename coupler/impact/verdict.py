@@ -53,17 +53,17 @@ class Verdict:
 
 
 def judge(
-    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_held: bool = False,
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, touches: bool = False,
     sunk: float | None = None, speed: float = 0.0,
 ) -> Verdict:  # fmt: skip
     """The verdict on a particle at the end of its impact. mass (kg); upwards (m/s): velocity of its centre normal to the surface;
-    bonds: bonds of the particle, None if nothing bonded; is_held: whether the particle is still in contact, for a ceramic;
+    bonds: bonds of the particle, None if nothing bonded; touches: whether the particle is still in contact, for a ceramic;
     sunk (m): depth of its centre in a polymer, None on a metal; speed (m/s): of its centre, in any direction."""
     if not impact.can_bond:
-        if impact.material.is_ceramic and (is_held or max(upwards, speed) <= REBOUND):
+        if impact.material.is_ceramic and (touches or max(upwards, speed) <= REBOUND):
             return Verdict(EMBEDDED, "it stays in its crater without a bond", BY_MOTION, rebounded=False)
-        moving = f"; without contact it moves at {speed:.3g} m/s" if speed > REBOUND >= upwards and not is_held else ""
-        return _unheld(f"no metallic bond forms with a ceramic{moving}", BY_MOTION, mass, upwards)
+        moving = f"; without contact it moves at {speed:.3g} m/s" if speed > REBOUND >= upwards and not touches else ""
+        return _unbonded(f"no metallic bond forms with a ceramic{moving}", BY_MOTION, mass, upwards)
     if law.in_impact:
         decided = _by_bonds(mass, upwards, bonds)
         scatter = SCATTER * bonds.bond.dissipated if bonds is not None else 0.0
@@ -77,14 +77,14 @@ def judge(
         words = "the scene, which ties all particles that touch the target; bonds are not computed"
         return Verdict(STICKS, words, BY_SCENE, rebounded=False)
     if sunk is None:
-        return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
+        return _unbonded("there is no adhesion in the scene", BY_MOTION, mass, upwards)
     base = f"{impact.formula.base}, a polymer"
     if sunk > 0.0 and upwards <= REBOUND:
         words = (
             f"it is embedded in {base}: its centre lies {sunk * 1e6:.3g} um below the surface, and it does not move off"
         )
         return Verdict(EMBEDDED, words, BY_MOTION, rebounded=False)
-    return _unheld(f"no bond of metals forms on {base}, whose erosion is not modelled", BY_MOTION, mass, upwards)
+    return _unbonded(f"no bond of metals forms on {base}, whose erosion is not modelled", BY_MOTION, mass, upwards)
 
 
 def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
@@ -112,11 +112,11 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
     can still break them."""
     whole = 0 if bonds is None else int(np.count_nonzero(~bonds.bond.broken))
     if bonds is None or whole == 0:
-        return _unheld("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
+        return _unbonded("no bond formed" if bonds is None else "all bonds are torn", BY_BONDS, mass, upwards)
     motion = 0.5 * mass * max(upwards, 0.0) ** 2
-    if upwards > REBOUND and bonds.gives_way(motion):
+    if upwards > REBOUND and bonds.may_break(motion):
         left = f"the {whole} of {len(bonds.bond)} bonds that hold can absorb {bonds.bond.resistance.sum() / motion:.0%} of its energy"
-        return _unheld(left, BY_BONDS, mass, upwards)
+        return _unbonded(left, BY_BONDS, mass, upwards)
     if whole < FEWEST:
         few = f"only {whole} of {len(bonds.bond)} bonds {'hold' if whole > 1 else 'holds'}"
         return Verdict(UNDECIDED, few, BY_BONDS)
@@ -147,7 +147,7 @@ def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float)
     return Verdict(verdict, words, BY_FORMULA, rebounded, margin_J=energy, margin_m_s=margin)
 
 
-def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
+def _unbonded(reason: str, by: str, mass: float, upwards: float) -> Verdict:
     """The verdict on a particle without bonds: "rebounds" if it is faster than REBOUND, else "undecided"."""
     if upwards <= REBOUND:
         return Verdict(UNDECIDED, f"{reason}, and it does not leave the target (velocity {upwards:.2g} m/s)", by)
@@ -157,19 +157,19 @@ def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
 
 def verdict_values(
     law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, bonds: ParticleBonds | None, is_lost: bool = False,
-    is_held: bool = False, broken: str = "", sunk: float | None = None, speed: float = 0.0,
+    touches: bool = False, broken: str = "", sunk: float | None = None, speed: float = 0.0,
 ) -> Values:  # fmt: skip
     """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case; is_held, sunk, speed: as in `judge`; broken:
-    why a ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown. rebound_velocity_m_s:
-    velocity of the centre of mass off the target, None for a particle that does not rebound; restitution: velocity off the target after
-    the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is undecided and no bond was
-    computed; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded; bonded_area_end_m2: part of
-    it that still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
+    is_lost: the particle has slid over the rim of the target, and rebounds in any case; touches, sunk, speed: as in `judge`;
+    broken: why a ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown.
+    rebound_velocity_m_s: velocity of the centre of mass off the target, None for a particle that does not rebound; restitution:
+    velocity off the target after the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is
+    undecided and no bond was computed; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded;
+    bonded_area_end_m2: part of it that still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
-    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, is_held, sunk, speed)
+    decided = lost if is_lost else judge(law, impact, mass, upwards, bonds, touches, sunk, speed)
     if broken:
         decided = Verdict(BROKEN, broken, BY_STRESS, rebounded=True)
     left, is_whole = decided.rebounded, decided.verdict != BROKEN

@@ -294,7 +294,7 @@ class Adhesion:
     ) -> np.ndarray:  # fmt: skip
         """Mask (nodes,) of the bonded nodes of an interface, by the criterion.
 
-        plastic_strain, pressure (nodes,): at the interface; the caller takes the larger value of both sides, or the maximum over
+        plastic_strain, pressure (nodes,): at the interface; the caller uses the larger value of both sides, or the maximum over
         time. velocity_ratio: impact velocity divided by critical velocity. The criterion needs only one of them.
         """
         if self.kind == "none" or self.criterion == "all":

@@ -175,7 +175,7 @@ class Job:
             for base in dict.fromkeys((self.surface, powder.table.material))
         )  # fmt: skip
 
-    def on(self, powder: str, base: str, points: int, strength: str = "") -> Scene:
+    def scene_on(self, powder: str, base: str, points: int, strength: str = "") -> Scene:
         """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, at
         the angle of the gun on the metal `base` of the job. points: number of points of the particle; strength: a strength set of the
         powder, by default its own."""
@@ -393,11 +393,11 @@ def _feed(
     return Feed(name, key, raw, table, sizes, shell, materials.mixed(shell, core, share), room)
 
 
-def seconds(job: Job, part: Search | Coatings, takes: Callable[[Scene], float], cores: int) -> float:
+def seconds(job: Job, part: Search | Coatings, time_of: Callable[[Scene], float], cores: int) -> float:
     """Expected wall time of a round of a part on `cores` cores, s. A round is all impacts at one velocity, or all coatings.
-    takes(scene): function that gives the processor time of a run, s."""
+    time_of(scene): function that gives the processor time of a run, s."""
     if isinstance(part, Search):
-        runs, scene = part.placements, job.on(part.powder, part.base, part.points, part.strength)
+        runs, scene = part.placements, job.scene_on(part.powder, part.base, part.points, part.strength)
     else:
         runs, scene = part.seeds, job.coating(part, 1)
-    return runs * (takes(scene) + START) / (PARALLEL * cores)
+    return runs * (time_of(scene) + START) / (PARALLEL * cores)

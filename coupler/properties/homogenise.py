@@ -34,14 +34,14 @@ TOUCHING = 100.0
 @dataclass(frozen=True)
 class Problem:
     """Equations of a block of n nodes. K: matrix of the equations, W/K or N/m, component after component; x (n,3) m; bonds: nodes
-    that have the same value as the opposite point; components: 3 for displacement, 1 for temperature; on (3,n): nodes on the faces
+    that have the same value as the opposite point; components: 3 for displacement, 1 for temperature; on_face (3,n): nodes on the faces
     normal to each axis; area (3,n) m2: outward area of these faces that belongs to each node; volume (m3)."""
 
     K: csr_array
     x: NDArray
     bonds: Joints
     components: int
-    on: NDArray
+    on_face: NDArray
     area: NDArray
     volume: float
 
@@ -59,19 +59,19 @@ class Problem:
 
     def kinematic(self) -> NDArray:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK if linear fields are prescribed on all faces (upper bound)."""
-        prescribed = np.tile(self.on.any(axis=0), self.components)
+        prescribed = np.tile(self.on_face.any(axis=0), self.components)
         return self._driven([prescribed] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; zero for two loads with different conditions."""
         if self.components == 1:
-            return self._driven(list(self.on))
+            return self._driven(list(self.on_face))
         prescribed = np.zeros((6, 3, len(self.x)), bool)
-        prescribed[:3] = self.on
+        prescribed[:3] = self.on_face
         for k, (i, j) in enumerate(VOIGT[3:], 3):
             third = 3 - i - j
-            prescribed[k, third] = self.on.any(axis=0)
-            prescribed[k, j], prescribed[k, i] = self.on[i], self.on[j]
+            prescribed[k, third] = self.on_face.any(axis=0)
+            prescribed[k, j], prescribed[k, i] = self.on_face[i], self.on_face[j]
         return self._driven(list(prescribed.reshape(6, -1)))
 
     def static(self) -> NDArray | None:
@@ -106,7 +106,8 @@ class Problem:
         return stiffness if least > LEAST * most else None
 
     def _driven(self, prescribed: list[NDArray]) -> NDArray:
-        """Energies of the loads, per volume, if the components `prescribed` follow the linear fields. Raises SolverError."""
+        """Energies of the loads, per volume, if the components `prescribed` have the values of the linear fields. Raises
+        SolverError."""
         answer = self.uniform(self.x).copy()
         alike = np.array([next(k for k, own in enumerate(prescribed) if (own == each).all()) for each in prescribed])
         for first in dict.fromkeys(alike):
@@ -181,7 +182,7 @@ def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -
     for _ in range(ROUNDS if len(spring) else 0):
         pressed = across[closed]
         problem = replace(problem, K=csr_array(K + pressed.T @ diags_array(spring[closed]) @ pressed))
-        opening = strain * (across @ problem.answers(problem.on.ravel(), block.points.T.reshape(1, -1))[0])
+        opening = strain * (across @ problem.answers(problem.on_face.ravel(), block.points.T.reshape(1, -1))[0])
         before, closed = closed, opening < 0.0
         if (before == closed).all():
             break
@@ -210,11 +211,11 @@ def _jump(joints: Joints, n: int) -> csr_array:
 def _problem(block: Block, K: csr_array, components: int) -> Problem:
     """The `Problem` of a block, with the nodes on its faces."""
     n = len(block.points)
-    area, on, vectors = np.zeros((3, n)), np.zeros((3, n), bool), area_vectors(block.points, block.walls)
+    area, on_face, vectors = np.zeros((3, n)), np.zeros((3, n), bool), area_vectors(block.points, block.walls)
     for axis in range(3):
         area[axis] = np.bincount(block.walls.ravel(), np.repeat(vectors[:, axis] / 3.0, 3), n)
-        on[axis, block.walls[abs(vectors[:, axis]) > 0.5 * np.linalg.norm(vectors, axis=1)]] = True
-    return Problem(K, block.points, block.joints.only(block.joints.bonded), components, on, area, block.volume)
+        on_face[axis, block.walls[abs(vectors[:, axis]) > 0.5 * np.linalg.norm(vectors, axis=1)]] = True
+    return Problem(K, block.points, block.joints.only(block.joints.bonded), components, on_face, area, block.volume)
 
 
 def _solved(K: csr_array, load: NDArray) -> tuple[NDArray, bool]:

@@ -157,17 +157,17 @@ def extract_sample(
     mesh, impact = splats.mesh, splats.impact[splats.body]
     own = impact >= first
     of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)
-    held = float(np.prod(high - low) / of_splat)
-    if first and held < LEAST_SPLATS:
+    count = float(np.prod(high - low) / of_splat)
+    if first and count < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
         raise StoreError(
-            f"a block of {edges} um holds {held:.1f} splats, but {LEAST_SPLATS:.0f} are needed: choose a larger block (--side,"
+            f"a block of {edges} um contains {count:.1f} splats, but {LEAST_SPLATS:.0f} are needed: choose a larger block (--side,"
             " --heights), or spray more particles"
         )
     marks = [mesh.data["bonded"] > 0, mesh.data["touching"] > 0, *(() if law is None else law.T)]
     at_nodes = np.stack(marks, axis=1).astype(float)
     block = extract_block(mesh.points, mesh.cells[own], splats.body[own], at_nodes, low, high, splats.element_size)
-    return Sample(block, metals, held)
+    return Sample(block, metals, count)
 
 
 def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, float], open_share: float) -> Properties:
@@ -189,7 +189,7 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
         for condition, C in (("kinematic", kinematic), ("mixed", mixed), ("static", static)):
             stiffness[condition + state] = None if C is None else C.tolist()
     area, edges = float(joints.area.sum()), (block.high - block.low).tolist()
-    few = f"the block holds {whole.splats:.0f} splats, too few for an error: give runs with other seeds"
+    few = f"the block contains {whole.splats:.0f} splats, too few for an error: give runs with other seeds"
     return Properties(
         side_m=edges[0], height_m=edges[2], elements=len(block.tets), splats=whole.splats,
         solid=block.solid, open_share=open_share, bonded=float(joints.area @ joints.bonded) / area if area else 0.0,

@@ -114,7 +114,7 @@ def pull(
             break
         greatest = max(greatest, rows[-1]["stress_Pa"])
     t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
-    was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others follow
+    was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others come after them
     owner = np.zeros(len(t.nodes.x), int)
     owner[t.mesh.conn] = np.unique(sample.block.body)[t.law_of][:, None]
     lost = bond.area * ((bond.damage > 0.5) & was_bonded)
@@ -130,13 +130,13 @@ def pull(
 
 class Machine:
     """A block whose two faces normal to `axis` move apart. Arguments: as of `pull`. t, bond: bodies, and bonds between them; force N,
-    work J: of the faces; damped J: what damping has taken; steps: so far."""
+    work J: of the faces; damped J: what damping has dissipated; steps: so far."""
 
     def __init__(self, block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, axis: int, film: float | None):
         middle, self.axis, self.length = 0.5 * (block.low + block.high), axis, float(block.high[axis] - block.low[axis])
         mesh, order, by_reach = prepare_ordered(block.points, block.tets, tuple(middle))
-        numbers, law_of = np.unique(block.body[by_reach], return_inverse=True)
-        self.t = t = Target(mesh, laws[numbers], T[by_reach], law_of, fixed=(), track_wave=False)
+        bodies, law_of = np.unique(block.body[by_reach], return_inverse=True)
+        self.t = t = Target(mesh, laws[bodies], T[by_reach], law_of, fixed=(), track_wave=False)
         e, none = t.elements, np.zeros((len(T), 3))
         e.eps_p[:] = eps_p[by_reach]
         e.sigma_y[:] = yield_stresses(t.laws, t.law_of, e.eps_p, e.T, none)
@@ -196,7 +196,7 @@ def _turning(bond: Bond, x: NDArray) -> Bond:
 
 
 def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
-    """Bonds at the joints of a block, then those that touch, which are broken. node: new number of each node. The width of ligaments,
+    """Bonds at the joints of a block, then those that touch, which are broken. node: new index of each node. The width of ligaments,
     2 G / N, grows with the film; springs bear N at an opening below it, as in `physics.adhesion.ligament_bonds`."""
     size = float(np.cbrt(6.0 * np.sqrt(2.0) * t.mesh.V0.mean()))  # edge of a regular tetrahedron
     stiffness, joints = penalty(float(t.laws["K"].min()), size), block.joints

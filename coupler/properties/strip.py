@@ -74,7 +74,8 @@ class Strip:
         return own + change, bend
 
     def residual(self) -> tuple[NDArray, NDArray, float]:
-        """Stress (k,) Pa in the middles of slices after deposition and cooling; that of the strip held flat; and the curvature, 1/m."""
+        """Stress (k,) Pa in the middles of slices after deposition and cooling; that of the strip clamped flat; and the curvature,
+        1/m."""
         (deposited, first), (cooled, second) = self.deposited(), self.misfit()
         M, z = self.modulus / (1.0 - self.nu), self.middle
         neutral = (M * self.height @ z) / (M @ self.height)
@@ -119,8 +120,8 @@ def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float
 
 def write(strip: Strip, length: float, folder: Path, about: str) -> None:
     """Write NAMES. csv: a row for each slice, z above the surface of the strip. inp: a quarter of the flat strip, `length` m long and a
-    third as wide, with the stress that it has while it is held flat: a brick C3D8I for each slice. The static step frees it: it bends.
-    The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of
+    third as wide, with the stress that it has while it is clamped flat: a brick C3D8I for each slice. The static step frees it: it
+    bends. The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of
     elements, six components; Abaqus Keywords Reference, *INITIAL CONDITIONS). All other lines are the same in both. SI units."""
     (residual, flat, _), z = strip.residual(), strip.middle - strip.height[: strip.below].sum()
     columns = {
@@ -132,12 +133,12 @@ def write(strip: Strip, length: float, folder: Path, about: str) -> None:
     levels, n = np.append(0.0, np.cumsum(strip.height)), len(strip.height)
     axes = np.linspace(0.0, length / 2.0, ALONG + 1), np.linspace(0.0, length / 6.0, ACROSS + 1), levels
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(points)).reshape(ALONG + 1, ACROSS + 1, n + 1)
+    index = np.arange(len(points)).reshape(ALONG + 1, ACROSS + 1, n + 1)
     around = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
-    corners = [number[i : ALONG + i, j : ACROSS + j, k : n + k].ravel() for i, j, k in around]
+    corners = [index[i : ALONG + i, j : ACROSS + j, k : n + k].ravel() for i, j, k in around]
     cells, slice_of = np.stack(corners, axis=1), np.tile(np.arange(n), ALONG * ACROSS)
     sets = {f"SLICE{k}": [np.flatnonzero(slice_of == k)] for k in range(n)}
-    sides = {"XMIN": number[0].ravel(), "YMIN": number[:, 0].ravel(), "ORIGIN": number[0, 0, :1]}
+    sides = {"XMIN": index[0].ravel(), "YMIN": index[:, 0].ravel(), "ORIGIN": index[0, 0, :1]}
     text = [f"** {MARK}"]
     for k in range(n):
         text += [f"*MATERIAL, NAME=M{k}", "*ELASTIC", f"{strip.modulus[k]:.8g}, {strip.nu[k]:.6g}"]

@@ -113,7 +113,7 @@ class DistributedParticle:
         return self.whole("stress")
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal at the points, which a mesh of their current positions takes over: arrays (n, ...) by name
+        """State of the metal at the points, which a mesh of their current positions inherits: arrays (n, ...) by name
         (`physics.metal`)."""
         return self._all(self.ask("carried"))
 

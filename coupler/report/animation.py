@@ -90,7 +90,7 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
                "-f", "mp4", str(path)]  # fmt: skip
     with tempfile.TemporaryFile() as errors:
         film = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
-        with contextlib.suppress(BrokenPipeError), film:  # broken: ffmpeg has failed, its message follows
+        with contextlib.suppress(BrokenPipeError), film:  # broken: ffmpeg has failed, its message is raised below
             assert film.stdin is not None
             for picture in chain([first], pictures):
                 film.stdin.write(picture.tobytes())

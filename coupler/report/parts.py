@@ -176,8 +176,8 @@ def conditions(result: Result) -> str:
     lines += [("target", f"{target['material']['name']} cylinder, {size}, {faces}")]
     lines += [("gas", "; ".join(map(str, gas)))] if gas and len(gas) <= 2 else []
     lines += [("spray", str(plan.get("spray", "")))]
-    is_held = plan["adhesion"]["kind"] != "none"
-    bond = {key: value for key, value in plan["adhesion"].items() if is_held and value not in (None, [])}
+    can_bond = plan["adhesion"]["kind"] != "none"
+    bond = {key: value for key, value in plan["adhesion"].items() if can_bond and value not in (None, [])}
     law = (f"{key.replace('_', ' ')} {shown(key, value)}".removeprefix("kind ") for key, value in bond.items())
     lines += [("adhesion", ", ".join(law) or "none"), ("contact", f"friction {plan['friction']:g}")]
     ends = {"rest": "at rest, at most ", "greatest": "at the greatest deformation, at most "}

@@ -37,7 +37,7 @@ CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to mesh a body. source: source of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: factor on the
+    """A method to mesh a body. source: source of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: factor on the
     element size; sigma: smallest smoothing length divided by the element size."""
 
     source: str
@@ -54,8 +54,8 @@ class Strategy:
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
     """The strategies of a method (`convert.METHODS`), in the order of attempts."""
     sources = [method] if method != "auto" else ["carried", "density"] if has_surface else ["density"]
-    ways = ("HXT", 1.0, 0.15), ("HXT", 1.0, 0.25), ("HXT", 0.8, 0.2), ("Delaunay", 1.0, 0.4)
-    return [Strategy(source, *way) for source in sources for way in ways]
+    settings = ("HXT", 1.0, 0.15), ("HXT", 1.0, 0.25), ("HXT", 0.8, 0.2), ("Delaunay", 1.0, 0.4)
+    return [Strategy(source, *setting) for source in sources for setting in settings]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The window of deposition: particle velocities relative to critical and erosion velocity, and the deposition efficiency."""
+"""The deposition window: particle velocities relative to critical and erosion velocity, and the deposition efficiency."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -20,7 +20,7 @@ MEASURES = (
 
 
 def other_seeds(scene: Scene, count: int) -> dict[str, str]:
-    """The scenes (TOML) with the `count` seeds that follow the seed of the scene, by name, such as "seed 8". Raises StoreError for a
+    """The scenes (TOML) with the `count` seeds after the seed of the scene, by name, such as "seed 8". Raises StoreError for a
     scene without a table [coating]."""
     if scene.coating is None:
         raise StoreError(

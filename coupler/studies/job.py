@@ -33,14 +33,14 @@ from .trust import RULE
 
 PAGE, RECORD = "job.html", "job.json"
 FILES = "job.toml", RECORD, PAGE, "micrograph.png"
-SAFETY = 2.0  # a part begins, and a search goes on, if this many times its expected time is left
+SAFETY = 2.0  # a part begins, and a search continues, if this many times its expected time is left
 
 
-def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], jobs: int, log: Log) -> dict[str, Any]:
+def compute(job: Job, text: str, out: Path, time_of: Callable[[Scene], float], jobs: int, log: Log) -> dict[str, Any]:
     """Compute the parts of a job that are missing in its folder while there is time. Writes job.json and job.html after each part.
     Returns the contents of job.json.
 
-    text: text of the job's file; takes: function that gives the processor time of a scene, s; jobs: number of cores. Raises
+    text: text of the job's file; time_of: function that gives the processor time of a scene, s; jobs: number of cores. Raises
     StoreError if the folder holds another job.
     """
     sticks, end = job.sticks, time.monotonic() + job.data.within
@@ -68,7 +68,7 @@ def compute(job: Job, text: str, out: Path, takes: Callable[[Scene], float], job
         if isinstance(part, Coatings) and not sticks:
             continue
         try:
-            usual, kind = seconds(job, part, takes, jobs), type(part).__name__
+            usual, kind = seconds(job, part, time_of, jobs), type(part).__name__
         except SceneError as error:  # its points do not resolve a powder
             failed[part.words] = str(error)
             continue
@@ -99,7 +99,7 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Found, co
     """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
     coating."""
     lines, sheet = numbers(job, found, coating), Page()
-    pictures = [(embedded(window(job, found)), "The powder and its deposition window on this metal")]
+    pictures = [(embedded(deposition_window(job, found)), "The powder and its deposition window on this metal")]
     if coating.measures:
         splats = read(Result(out / next(iter(coating.measures))))
         picture = coating_files.micrograph(splats, out / "micrograph.png", 1.3 * splats.patch)
@@ -182,7 +182,7 @@ def _assumed(job: Job) -> list[str]:
     ]  # fmt: skip
 
 
-def window(job: Job, found: Found) -> Figure:
+def deposition_window(job: Job, found: Found) -> Figure:
     """Figure of velocity against diameter, with an axis for each metal powder: this powder and the ceramics at impact, and its critical
     velocities from the formula and from computed bonds."""
     metals = {name: powder for name, powder in job.powders.items() if not powder.metal.is_ceramic}

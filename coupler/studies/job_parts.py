@@ -74,7 +74,7 @@ def search(
     particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
     `critical.search`. Returns None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no
     velocity can be computed."""
-    scene, folder = job.on(part.powder, part.base, part.points, part.strength), out / part.folder
+    scene, folder = job.scene_on(part.powder, part.base, part.points, part.strength), out / part.folder
     slowest, fastest = job.reach(part.powder)
     for least in (slowest, fastest / EROSION):
         found, rows = critical.search(
@@ -97,7 +97,7 @@ def bonds(job: Job, found: Mapping[Search, critical.Bracket]) -> dict[tuple[str,
             continue
         best = max(own, key=lambda part: (part.points, part.placements))
         coarser = {part.points: each for part, each in own.items() if part.points < best.points}
-        error = critical.resolution_error(job.on(powder, base, best.points), own[best], coarser)
+        error = critical.resolution_error(job.scene_on(powder, base, best.points), own[best], coarser)
         sets = {part.strength: each for part, each in of_pair.items() if part.strength}
         known[powder, base] = Bonds(powder, base, best.folder, own[best], error, sets)
     return known

@@ -25,7 +25,7 @@ from .bodies import Bodies
 
 RELAX_STEP = 1e-10  # s: about a real step, so that strain rates are about those of the real motion
 SEARCH_EVERY = 10  # steps
-WAY = 0.1  # edges of the smallest element: motion of surfaces between two searches in addition to that by their velocities
+SLACK = 0.1  # edges of the smallest element: motion of surfaces between two searches in addition to that by their velocities
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical damping of the step itself
 # About the critical damping of the slowest motion: more damping slows it down, and faster motions decay equally fast with this.
 SLOW_DAMPING = 0.06
@@ -53,8 +53,8 @@ COOLED = Aim(4e-7, 40, 0)  # after a pause: stresses within a few MPa
 
 @dataclass
 class Known:
-    """Data that one equilibrium passes to the next one of the same bodies. highest: power iteration with the fastest mode of the
-    elements; grid: number of active elements, and their coarse grid."""
+    """Data that one equilibrium passes to the next one of the same bodies. highest: power iteration for the highest frequency of
+    the elements; grid: number of active elements, and their coarse grid."""
 
     highest: HighestFrequency | None = None
     grid: tuple[int, CoarseGrid] | None = None
@@ -86,7 +86,7 @@ def settle(
     t.rest()
     relaxation = Relaxation(t, radius, RELAX_STEP)
     report = _relax(bodies, relaxation, aim._replace(left=aim.left * kinetic_0), known or Known(), back)
-    taken = energy - _stored(bodies)
+    removed = energy - _stored(bodies)
     released = _run_for(bodies, release_time)
     if not released <= kinetic_0:
         raise SolverError(
@@ -95,7 +95,7 @@ def settle(
         )
     t.rest()
     t.deactivate_beyond(reach)
-    return report | {"taken_J": taken, "released_J": released, "released": released / kinetic_0}
+    return report | {"taken_J": removed, "released_J": released, "released": released / kinetic_0}
 
 
 def _stored(bodies: Bodies) -> float:
@@ -205,4 +205,4 @@ def _search(bodies: Bodies, dt: float) -> None:
     t = bodies.target
     fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.nodes.v, t.nodes.v), initial=0.0)))
     time = SEARCH_EVERY * dt
-    bodies.search(3.0 * fastest * time + WAY * float(np.cbrt(t.mesh.V0.min())), time=time)
+    bodies.search(3.0 * fastest * time + SLACK * float(np.cbrt(t.mesh.V0.min())), time=time)

@@ -16,7 +16,7 @@ from .domain import BodyState
 
 NEAR = 0.6  # element sizes: surfaces closer than this are in contact when a splat joins
 CLEAR, ROUNDS = 0.02, 6  # element sizes: largest remaining overlap of a new splat; number of attempts to remove it
-FOLLOWING = 6  # edges: largest distance of nodes that follow the displaced ones
+MOVED_EDGES = 6  # edges: largest distance of nodes that move with the displaced ones
 LEAST_QUALITY = 0.1  # smallest volume of a tetrahedron after a displacement, over its volume before
 FITTED_VOLUME = 0.01  # relative change of a splat's volume that its density corrects; a larger one is corrected at its free surface ...
 MOST_OFFSET = 0.25  # ... by an offset of at most this part of an element size
@@ -72,13 +72,13 @@ def _cleared(
 
 def carried_along(tets: np.ndarray, given: np.ndarray) -> np.ndarray:
     """Displacements (n,3) m of the nodes of tetrahedra (m,4). Nodes with a zero displacement in `given` (n,3) m get the mean of
-    their neighbours, up to FOLLOWING edges away: a thin rim moves as a whole."""
+    their neighbours, up to MOVED_EDGES edges away: a thin rim moves as a whole."""
     edges = np.concatenate([tets[:, pair] for pair in combinations(range(4), 2)])
     both = np.concatenate([edges, edges[:, ::-1]])
     beside = coo_matrix((np.ones(len(both)), both.T), shape=(len(given), len(given))).tocsr()
     beside.data[:] = 1.0
     moved, free = given.copy(), ~given.any(axis=1)
-    for _ in range(FOLLOWING):
+    for _ in range(MOVED_EDGES):
         moved[free] = (beside @ moved)[free] / np.maximum(np.diff(beside.indptr), 1)[free, None]
     return moved
 

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("nicegui")
 
 from coupler.app.form import entries_of, numbered, placed
-from coupler.app.looks import as_csv, look
 from coupler.app.pages import INPUTS, _report
+from coupler.app.previews import as_csv, preview
 from coupler.app.workspace import FINISHED, RUN, Row
 from coupler.scene.json_schema import job_schema, scene_schema
 from coupler.scene.toml import changed, texts
@@ -50,7 +50,7 @@ def test_values_of_a_form_are_those_of_its_text(name):
 def test_the_problem_of_the_reader_stands_at_its_field(tmp_path, name, key, value, says):
     entries = entries_of(job_schema() if name == "job" else scene_schema())
     text = changed(TEMPLATES[name], [(key, value)])
-    seen = look(text, tmp_path / "x.toml", "job" if name == "job" else "run", HERE)
+    seen = preview(text, tmp_path / "x.toml", "job" if name == "job" else "run", HERE)
     found = placed(seen.problems, entries)
     at = found.get(key) or found.get("")  # of a whole table where several keys together are wrong
     assert says in (at or ""), found
@@ -59,7 +59,7 @@ def test_the_problem_of_the_reader_stands_at_its_field(tmp_path, name, key, valu
 
 def test_a_job_is_answered_by_the_formula_as_it_is_typed(tmp_path):
     """N2 at 50 bar and 500 degC: Cu of 26 um at 664 m/s, above its critical velocity on both metals (docs/guide/job.md)."""
-    seen = look(TEMPLATES["job"], tmp_path / "x.toml", "", HERE)
+    seen = preview(TEMPLATES["job"], tmp_path / "x.toml", "", HERE)
     assert seen.problems == ()
     assert "Velocity at impact" in seen.numbers[0].label
     assert [len(figure["data"]) > 3 for figure in seen.drawn] == [True, True]
@@ -73,12 +73,12 @@ def test_each_powder_of_a_blend_has_its_fields_and_its_curves(tmp_path):
     values = texts(text, keys)
     assert values["powder[1].material"], values["powder[2].material"] == ("Cu", "Al2O3")
     assert changed(text, list(values.items())) == text
-    seen = look(text, tmp_path / "x.toml", "", HERE)
+    seen = preview(text, tmp_path / "x.toml", "", HERE)
     assert [trace["name"] for trace in seen.drawn[0]["data"]][-1] == "Cu: 25 classes of equal mass"
     assert len(seen.drawn) == 3  # a window of copper, two flights
     assert as_csv(seen.classes).splitlines()[-1].startswith("Al2O3,0.98,")
     wrong = changed(text, [("powder[2].material", "Al2O4")])
-    found = placed(look(wrong, tmp_path / "x.toml", "job", HERE).problems, keys)
+    found = placed(preview(wrong, tmp_path / "x.toml", "job", HERE).problems, keys)
     assert "unknown material" in found["powder[2].material"]
 
 

@@ -87,9 +87,9 @@ def test_a_folder_goes_on_with_its_own_scene_or_not_at_all(
         folder = workspace.folder(name)
         folder.mkdir(parents=True)
         with pytest.raises(StoreError, match="not the folder of a run"):
-            workspace.go_on(folder)
+            workspace.resume(folder)
         (folder / LOG).touch()
-        workspace.go_on(folder)
+        workspace.resume(folder)
     assert [words[0] for words in started] == ["run", "resume"]
 
 

@@ -163,7 +163,7 @@ def test_a_thin_rim_that_is_moved_out_moves_as_a_whole() -> None:
     far = np.zeros_like(points)
     far[np.linalg.norm(points[:, :2], axis=1) < 1e-9, 2] = 0.1
     reach = points[placing.carried_along(tets, far)[:, 2] > 0.0, :2].max()
-    assert 1.0 < reach < 1.5 * placing.FOLLOWING * 0.5
+    assert 1.0 < reach < 1.5 * placing.MOVED_EDGES * 0.5
 
 
 @pytest.fixture(scope="module")

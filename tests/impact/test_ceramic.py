@@ -31,7 +31,7 @@ def test_a_ceramic_is_embedded_or_rebounds_by_its_motion() -> None:
     """Whatever ties metals: a tied law, or bonds by exposure."""
     for law in (Adhesion("tied"), Adhesion("cohesive", criterion="exposure")):
         assert judge(law, CERAMIC, MASS, 30.0, None).verdict == "rebounds"
-        assert judge(law, CERAMIC, MASS, 30.0, None, is_held=True).verdict == "embedded"
+        assert judge(law, CERAMIC, MASS, 30.0, None, touches=True).verdict == "embedded"
         found = verdict_values(law, CERAMIC, MASS, 0.5, None)
         assert (found["verdict"], found["rebounded"], found["restitution"]) == ("embedded", False, 0.0)
         assert not is_tied(law, CERAMIC)
@@ -44,7 +44,7 @@ def test_a_ceramic_that_moves_without_contact_is_not_embedded() -> None:
     assert (found["verdict"], found["rebounded"], found["restitution"]) == ("undecided", None, None)
     assert "without contact it moves at 17 m/s" in found["verdict_rests_on"]
     assert efficiency_range([found]) == (0.0, 1.0)
-    assert judge(law, CERAMIC, MASS, -3.0, None, is_held=True, speed=17.0).verdict == "embedded"
+    assert judge(law, CERAMIC, MASS, -3.0, None, touches=True, speed=17.0).verdict == "embedded"
     assert judge(law, CERAMIC, MASS, 30.0, None, speed=35.0).verdict == "rebounds"
 
 
@@ -78,7 +78,7 @@ def test_a_ceramic_is_at_rest_when_its_crater_stops_it() -> None:
         ending = EndCriterion(500e-9, "rest", 50e-9, 500.0)
         for time, down, push in ((10, 200.0, 3.0), (20, -40.0, 2.0), *((t, sinking, force) for t in range(21, 31))):
             ending.observe(time * 1e-9, down, push, "embedded" if push else "free")
-        assert (ending.met(30e-9), ending.is_held) == (met, held)
+        assert (ending.met(30e-9), ending.touches) == (met, held)
 
 
 def test_a_ceramic_without_a_tensile_limit_is_refused() -> None:

@@ -143,7 +143,7 @@ def test_the_scenes_of_a_job_have_a_plan(tmp_path: Path) -> None:
             planned = plan(job.coating(part, 1))
             assert len(planned.impacts) == part.number
             assert max(impact.points for impact in planned.impacts) <= 1.1 * part.points
-    scene = job.on("Cu", "Al6061", 5000)
+    scene = job.scene_on("Cu", "Al6061", 5000)
     assert plan(scene).impact.points == pytest.approx(5000, rel=0.02)
     assert scene.derived.material("Cu").strength.set == "Preston_2003"
 
@@ -226,7 +226,7 @@ def test_the_gun_at_an_angle_and_the_ground_are_those_of_the_scenes(tmp_path: Pa
     job = job_of(tmp_path, TEXT.replace('spot = "6 mm"', path, 1) + layer)
     assert job.slant == pytest.approx(2.0)
     assert job.efficiency("Cu") == job.arrived["Cu"].fates(job.slant)["sticks"] < 1.0
-    assert job.on("Cu", "Ni", 5000).particle.angle == pytest.approx(1.0471975)
+    assert job.scene_on("Cu", "Ni", 5000).particle.angle == pytest.approx(1.0471975)
     assert job.hits == (("Cu", "Ni"), ("Cu", "Cu"))
     scene = job.coating(next(part for part in job.parts if isinstance(part, Coatings)), 1)
     assert {round(p.angle, 6) for p in scene.particles} == {1.047198}

@@ -82,7 +82,7 @@ def test_the_command_pulls_and_bends(
 def test_what_has_no_cold_coating_or_no_room_is_refused(
     cold: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(StoreError, match=r"holds .* splats, but 2 are needed: choose a larger"):
+    with pytest.raises(StoreError, match=r"contains .* splats, but 2 are needed: choose a larger"):
         cold.properties(side=4e-6, heights=(3e-6, 6e-6))
     _, splats, metals = cold_coating(cold)
     joint = extract_sample(

@@ -1,4 +1,4 @@
-"""The window of deposition: size of the critical velocity, distribution of the powder, efficiency, and the command."""
+"""The deposition window: size of the critical velocity, distribution of the powder, efficiency, and the command."""
 
 import shlex
 from pathlib import Path

@@ -169,7 +169,7 @@ def test_the_pages_say_each_powder_by_name(blend, tmp_path: Path) -> None:
     text = study.page(blend, TEXT, tmp_path, known, found, Coating({}, {}))
     for said in ("Cu + Al2O3 on Al6061", "Cu 80% of the mass", "Al2O3 20% of the mass", "a ceramic makes no bond"):
         assert said in text
-    labels = [line.get_label() for line in study.window(blend, found).axes[0].get_lines()]
+    labels = [line.get_label() for line in study.deposition_window(blend, found).axes[0].get_lines()]
     assert {"Cu at impact (25 classes of equal mass)", "critical, bonds on Cu"} <= set(labels)
     assert "Al2O3 at impact (25 classes of equal mass)" in labels
 

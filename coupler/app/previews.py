@@ -26,7 +26,7 @@ _DRAWING = threading.Lock()  # matplotlib draws in one thread at a time
 
 
 @dataclass(frozen=True)
-class Look:
+class Preview:
     """Preview of a scene or a job. problems: problems of the input; if there are any, all other values are empty. lines: expected
     time and error; more: description of the computation; numbers, drawn: results and figures of the gas; classes: columns of the
     table of the powder's size classes at impact."""
@@ -50,7 +50,7 @@ class Now:
     pictures: tuple[str, ...] = ()
 
 
-def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
+def preview(text: str, path: Path, verb: str, here: pace.Pace) -> Preview:
     """The preview of a scene or a job. text: its TOML text; path: file in which it would be saved; verb: "run" for a scene, "job" for
     a job, "" for a job without an estimate of the time. Problems of the input are part of the result."""
     try:
@@ -58,14 +58,14 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
             planned = plan(Scene.from_text(text, str(path)))
             lines = pace.lines(planned, here, verbose=False)
             flat = "\n".join(" ".join(line.split()) for line in lines.splitlines())
-            return Look(lines=flat, more=describe(planned, lines, brief=True))
+            return Preview(lines=flat, more=describe(planned, lines, brief=True))
         job = from_text(text, path)
         lines, more = "; ".join(job.flow.notes), ""
         if verb:
             job.check()
             lines = f"at most {duration(job.data.within)} on {cores()} cores"
             more = f"in this order while there is time: {'; '.join(part.words for part in job.parts)}"
-        windows = [figures.window(job, name) for name, powder in job.powders.items() if not powder.metal.is_ceramic]
+        windows = [figures.deposition_window(job, name) for name, p in job.powders.items() if not p.metal.is_ceramic]
         drawn = (*windows, *(figures.flights(job, name) for name in job.powders))
         each: list[dict[str, Any]] = [
             {
@@ -75,11 +75,11 @@ def look(text: str, path: Path, verb: str, here: pace.Pace) -> Look:
             for name, at in job.arrived.items()
         ]  # fmt: skip
         classes = {key: [value for columns in each for value in columns[key]] for key in each[0]}
-        return Look((), lines, more, tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
+        return Preview((), lines, more, tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
     except SceneError as error:
-        return Look(error.problems)
+        return Preview(error.problems)
     except ColdsprayError as error:
-        return Look([str(error)])
+        return Preview([str(error)])
 
 
 def now(workspace: Workspace, folder: Path) -> Now:
