@@ -31,7 +31,9 @@ def add(commands: Commands) -> None:
     option("--substrate", metavar="NAME", help="metal of the substrate, for the verdict about the first layer")
     option("--within", default="20%", metavar="PERCENT", help='uncertainty of the critical velocity (default: "20%%")')
     option("--csv", type=path, metavar="FILE", help="write a table with a row for each class of the powder")
-    option("--png", type=path, metavar="FILE", help="draw velocity against temperature at impact, with the limits")
+    option(
+        "--png", type=path, metavar="FILE", help="draw velocity against temperature at impact and the deposition window"
+    )
     add_force(option)
 
 
