@@ -194,26 +194,24 @@ def stress_points(
 
 
 @_inlined
-def viscosity(scheme: Scheme, s: Sides, k: int, r: float, approach: float) -> tuple[float, float]:
-    """Viscous force (N) of side k, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
-    c, soft = s.c[k], 1.0 / (r + 0.1 * scheme.h)
+def viscosity(scheme: Scheme, slope: float, c: float, r: float, approach: float) -> tuple[float, float]:
+    """Viscous force (N) of a side, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
+    soft = 1.0 / (r + 0.1 * scheme.h)
     mu = scheme.h * min(max(approach * soft, -SLOW * c), SLOW * c) * soft
-    return s.slope[k] * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
+    return slope * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
 
 
 @_inlined
 def hourglass(
-    scheme: Scheme, s: Sides, control: Control, k: int, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float
-) -> float:
-    """MACHDYN's force (N) against the hourglass error e (m) of side k: viscous in plastic flow, else elastic."""
-    along, r0 = dot(e, x), control.r0[k]
+    scheme: Scheme, slope: float, c: float, r0: float, WE: float, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float
+) -> float:  # fmt: skip
+    """MACHDYN's force (N) against the hourglass error e (m) of a side: viscous in plastic flow, else elastic. WE (Pa/m3): W E."""
+    along = dot(e, x)
     if is_plastic:
-        if not mu * along < 0.0:
-            return 0.0
-        return -s.slope[k] * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * s.c[k] * mu
+        viscous = -slope * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * c * mu
+        return viscous if mu * along < 0.0 else 0.0
     along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) / (r + 0.1 * scheme.h)
-    stiffness = scheme.V * scheme.V * control.W[k] * control.E[k] * scheme.hourglass
-    return -stiffness * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
+    return -scheme.V * scheme.V * WE * scheme.hourglass * along / (r0 * r0 + 0.01 * scheme.h * scheme.h)
 
 
 @_inlined
@@ -249,7 +247,7 @@ def point_forces(
             j = s.neighbour[k]
             x, v = apart(m.x, i, j), apart(m.v, i, j)
             r = sqrt(dot(x, x))
-            viscous, mu = viscosity(scheme, s, k, r, dot(x, v))
+            viscous, mu = viscosity(scheme, s.slope[k], s.c[k], r, dot(x, v))
             X0, X1, X2 = apart(m.X, i, j)
             e = (
                 0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2)
@@ -262,7 +260,8 @@ def point_forces(
             is_plastic = max(d.effective[i], d.effective[j]) > PLASTIC
             per_length = 1.0 / (r + 0.01 * scheme.h)
             viscous = viscous * per_length
-            against = hourglass(scheme, s, control, k, r, x, e, is_plastic, mu) * per_length
+            r0, WE = control.r0[k], control.W[k] * control.E[k]
+            against = hourglass(scheme, s.slope[k], s.c[k], r0, WE, r, x, e, is_plastic, mu) * per_length
             before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
             by_viscosity += lost(k, 0, dt, viscous, before, now, losses)
             by_control += lost(k, 1, dt, against, before, now, losses)

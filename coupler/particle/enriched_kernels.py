@@ -83,7 +83,7 @@ def point_forces(
             j = s.neighbour[k]
             x, v = apart(m.x, i, j), apart(m.v, i, j)
             r = sqrt(dot(x, x))
-            viscous, _ = viscosity(scheme, s, k, r, dot(x, v))
+            viscous, _ = viscosity(scheme, s.slope[k], s.c[k], r, dot(x, v))
             viscous *= 1.0 / (r + 0.01 * scheme.h)
             before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
             work += lost(k, 0, dt, viscous, before, now, losses)
