@@ -11,7 +11,7 @@ from typing import NamedTuple
 from numpy.typing import NDArray
 
 from ..compiling import njit
-from ..core.arrays import Floats, Laws, Matrix, Vector
+from ..core.arrays import Floats, Laws, Matrix, Symmetric, Vector
 from ..geometry.matrix_kernels import (
     ROUNDING,
     ZERO,
@@ -27,18 +27,13 @@ from ..geometry.matrix_kernels import (
     write_matrix,
 )
 from ..geometry.vector_kernels import apart, dot, vector_of
-from .compiled_kernels import FAR, NEAR, SWEEPS, TURNED, cayley, correction
+from .compiled_kernels import FAR, NEAR, SWEEPS, TURNED, cayley, correction, trial
 from .model import Deformation, Motion, Sides, State
 
 BLOCK = 8  # points laid out side by side: their numbers fit the first-level cache
 MOST_SIDES = 18  # largest number of neighbours: the two nearest layers of a face-centred cubic lattice
-DX, DU, EP, G, W = (
-    0,
-    3,
-    6,
-    9,
-    12,
-)  # rows of a side: X_j - X_i (m); x_j - x_i, then e (m), then b (N); e_p (m); g (1/m); w (1/m5)
+# Rows of a side: X_j - X_i (m); x_j - x_i, then e (m), then side_force (N); e_p (m); g (1/m); w (1/m5)
+DX, DU, EP, G, W = 0, 3, 6, 9, 12
 SIDE = 13  # number of these rows
 ROWS = 61 + SIDE * MOST_SIDES
 _inlined = njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
@@ -84,6 +79,12 @@ def write_nine(rows: Floats, i: int, a: Matrix) -> None:
     """Write the matrix a to column i of nine rows (9,BLOCK)."""
     rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i] = a[0], a[1], a[2], a[3], a[4]
     rows[5, i], rows[6, i], rows[7, i], rows[8, i] = a[5], a[6], a[7], a[8]
+
+
+@_inlined
+def six_of(rows: Floats, i: int) -> Symmetric:
+    """The symmetric tensor in column i of six rows (6,BLOCK)."""
+    return rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i]
 
 
 @_inlined
@@ -171,14 +172,8 @@ def strain(b: Block) -> None:
         U = nine(b.U, i)
         # dt Udot B at n+1/2 is (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2; the last term has no deviator
         both, _ = inverse(sum_of(U, nine(b.before, i)))
-        L, c = product(U, both), 8.0 * b.shear[i]
-        rate, mean = (L[0] + L[4] + L[8]) / 3.0, (b.S[0, i] + b.S[3, i] + b.S[5, i]) / 3.0
-        b.S[0, i] += c * (L[0] - rate) - mean
-        b.S[1, i] += 0.5 * c * (L[1] + L[3])
-        b.S[2, i] += 0.5 * c * (L[2] + L[6])
-        b.S[3, i] += c * (L[4] - rate) - mean
-        b.S[4, i] += 0.5 * c * (L[5] + L[7])
-        b.S[5, i] += c * (L[8] - rate) - mean
+        S = trial(six_of(b.S, i), 8.0 * b.shear[i], product(U, both))
+        b.S[0, i], b.S[1, i], b.S[2, i], b.S[3, i], b.S[4, i], b.S[5, i] = S
         B, b.J[i] = inverse(U)
         write_nine(b.B, i, B)
 
@@ -211,14 +206,14 @@ def residuals(most: int, b: Block) -> None:
 
 @_inlined
 def forces(most: int, V: float, across: float, b: Block) -> None:
-    """Plastic residuals after the radial return, and the forces b = stiffness w R e - Q g of the sides. V (m3): volume of a point;
+    """Plastic residuals after the radial return, and side_force = stiffness w R e - Q g. V (m3): volume of a point;
     across: stiffness of a residual over the shear modulus."""
     for i in range(BLOCK):
         R, c, stiffness = nine(b.R, i), -V * b.J[i], V * across * b.shear[i] / b.span[i] * b.back[i]
         t = 0.5 * stiffness / c  # a skew stress that balances the moment of the residuals
         t0, t1, t2 = t * b.omega[0, i], t * b.omega[1, i], t * b.omega[2, i]
         b.S[0, i], b.S[3, i], b.S[5, i] = b.S[0, i] + b.mean[i], b.S[3, i] + b.mean[i], b.S[5, i] + b.mean[i]
-        xx, xy, xz, yy, yz, zz = b.S[0, i], b.S[1, i], b.S[2, i], b.S[3, i], b.S[4, i], b.S[5, i]
+        xx, xy, xz, yy, yz, zz = six_of(b.S, i)
         P = product(product(R, (xx, xy - t2, xz + t1, xy + t2, yy, yz - t0, xz - t1, yz + t0, zz)), nine(b.B, i))
         H = product(R, nine(b.U, i))  # the forces of the residuals act on F, too
         write_nine(b.B, i, sum_of(scaled(c, P), scaled(stiffness, H)))
@@ -235,17 +230,17 @@ def forces(most: int, V: float, across: float, b: Block) -> None:
 
 @_inlined
 def scatter(
-    first: int, hi: int, s: Sides, d: Deformation, state: State, plastic: Floats, force: Floats, b: Block
+    first: int, hi: int, s: Sides, d: Deformation, state: State, plastic: Floats, side_force: Floats, b: Block
 ) -> None:
-    """Write F, R, stress, plastic residuals and forces (s,3) N of the sides of a block to the arrays of all points."""
+    """Write F, R, stress, plastic residuals and forces of the sides of a block to the arrays of all points."""
     for i in range(min(BLOCK, hi - first)):
         a = first + i
         begin = s.first[a]
         for q in range(s.first[a + 1] - begin):
             k, row = begin + q, SIDE * q
-            if b.back[i] < 1.0:
+            if b.back[i] < 1.0:  # else they have not changed
                 plastic[k, 0], plastic[k, 1], plastic[k, 2] = three(b.sides, row + EP, i)
-            force[k, 0], force[k, 1], force[k, 2] = three(b.sides, row + DU, i)
+            side_force[k, 0], side_force[k, 1], side_force[k, 2] = three(b.sides, row + DU, i)
         write_matrix(d.F, a, nine(b.F, i))
         write_matrix(d.R, a, nine(b.R, i))
         for c in range(6):

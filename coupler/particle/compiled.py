@@ -64,7 +64,7 @@ class CompiledParticle(Particle):
         self._list_neighbours()
         self._list_exchange()
         count = len(self._sides.neighbour)
-        self._force = np.zeros((count + len(self._far), 3))  # b in `model`
+        self._side_force = np.zeros((count + len(self._far), 3))
         self._losses = Losses(np.zeros((self._kinds, count)), np.zeros((2, self.n)))
         self._failed, self._plastic = np.full(PARTS, -1), np.zeros(len(self.law))
 
@@ -157,12 +157,12 @@ class CompiledParticle(Particle):
     def _of_stress(self) -> tuple[object, ...]:
         """Arguments of pass 1 after the range of points."""
         m, d = self._motion, self._deformation
-        return self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._force
+        return self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._side_force
 
     def _of_forces(self, is_last: bool) -> tuple[object, ...]:
         """Arguments of pass 2 after the range of points. is_last: last step of a chunk."""
         m, d, control = self._motion, self._deformation, self._control
-        return self.dt, is_last, self._scheme, self._sides, control, m, d, self._losses, self._force, self.points.f
+        return self.dt, is_last, self._scheme, self._sides, control, m, d, self._losses, self._side_force, self.points.f
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. At the end the gradient of the plastic strain of these steps is added to `eps_gradient`, if gradients
@@ -210,7 +210,7 @@ class CompiledParticle(Particle):
         """Exchange the data that pass 2 of other ranks needs, in a step without pass 2 on this rank."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.effective[:, None])
-        self._swap(self._side_sends, self._side_receives, self._force)
+        self._swap(self._side_sends, self._side_receives, self._side_force)
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
         """Send rows of arrays (k, ...) to other ranks, and overwrite rows with those that arrive."""

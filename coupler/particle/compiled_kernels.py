@@ -93,14 +93,18 @@ def gradient_of(i: int, s: Sides, u: Floats) -> Matrix:
 
 
 @_inlined
-def trial(stress: Floats, i: int, c: float, L: Matrix) -> Symmetric:
-    """Trial deviator of point i, xx xy xz yy yz zz: deviator of its stress plus c times the deviator of sym L."""
-    mean_rate = (L[0] + L[4] + L[8]) / 3.0
-    mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
+def six(stress: Floats, i: int) -> Symmetric:
+    """Row i of stress (n,6), as a tuple."""
+    return stress[i, 0], stress[i, 1], stress[i, 2], stress[i, 3], stress[i, 4], stress[i, 5]
+
+
+@_inlined
+def trial(S: Symmetric, c: float, L: Matrix) -> Symmetric:
+    """Trial deviator, xx xy xz yy yz zz: deviator of the stress S plus c times the deviator of sym L."""
+    rate, mean = (L[0] + L[4] + L[8]) / 3.0, (S[0] + S[3] + S[5]) / 3.0
     return (
-        stress[i, 0] - mean + c * (L[0] - mean_rate), stress[i, 1] + 0.5 * c * (L[1] + L[3]), stress[i, 2] + 0.5 * c * (L[2] + L[6]),
-        stress[i, 3] - mean + c * (L[4] - mean_rate), stress[i, 4] + 0.5 * c * (L[5] + L[7]),
-        stress[i, 5] - mean + c * (L[8] - mean_rate),
+        S[0] - mean + c * (L[0] - rate), S[1] + 0.5 * c * (L[1] + L[3]), S[2] + 0.5 * c * (L[2] + L[6]),
+        S[3] - mean + c * (L[4] - rate), S[4] + 0.5 * c * (L[5] + L[7]), S[5] - mean + c * (L[8] - rate),
     )  # fmt: skip
 
 
@@ -153,21 +157,12 @@ def write_stress(stress: Floats, i: int, S: Symmetric, mean: float) -> Symmetric
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo: int,
-    hi: int,
-    dt: float,
-    laws: Laws,
-    scheme: Scheme,
-    s: Sides,
-    m: Motion,
-    d: Deformation,
-    state: State,
-    b: Floats,
-) -> int:
+    lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, s: Sides, m: Motion, d: Deformation, state: State, side_force: Floats,
+) -> int:  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
-    The sides of the points receive b = V J R sigma U^-1 g (s,3) N. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the deviator
-    returns to the yield stress of the last step, and the thermal pressure lags by one step.
+    Writes side_force = V J R sigma U^-1 g of the sides of the points. A point fails if J leaves [J_MIN, J_MAX]. As in MACHDYN the
+    deviator returns to the yield stress of the last step, and the thermal pressure lags by one step.
     """
     failed = -1
     for i in range(lo, hi):
@@ -180,7 +175,7 @@ def stress_points(
         write_matrix(d.R, i, R)
         # rate of deformation in the unrotated frame, D = sym(R^T Fdot B) = sym(Udot B)
         D = product(product(transposed(R), gradient_of(i, s, m.v)), B)
-        S = trial(state.stress, i, 2.0 * law.G * dt, D)
+        S = trial(six(state.stress, i), 2.0 * law.G * dt, D)
         S, _, deps = flow(i, law, S, squared(S), state.sigma_y)
         d.effective[i] = state.sigma_y[i] / scheme.H + deps
         mean = harden_and_press(i, dt, law, J, deps, state)
@@ -189,7 +184,7 @@ def stress_points(
         c = scheme.V * J
         for k in range(s.first[i], s.first[i + 1]):
             g0, g1, g2 = vector_of(s.gradient, k)
-            b[k, 0], b[k, 1], b[k, 2] = applied(P, c * g0, c * g1, c * g2)
+            side_force[k, 0], side_force[k, 1], side_force[k, 2] = applied(P, c * g0, c * g1, c * g2)
     return failed
 
 
@@ -234,9 +229,9 @@ def lost(k: int, kind: int, dt: float, strength: float, before: float, now: floa
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def point_forces(
     lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, s: Sides, control: Control, m: Motion, d: Deformation,
-    losses: Losses, b: Floats, f: Floats,
+    losses: Losses, side_force: Floats, f: Floats,
 ) -> None:  # fmt: skip
-    """Pass 2: the forces f (n,3) N on points: b_ij - b_ji, viscosity and hourglass control, the last two along x_j - x_i.
+    """Pass 2: the forces f (n,3) N on points: side_force_ij - side_force_ji, and along x_j - x_i viscosity and hourglass control.
 
     The hourglass error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half
     step after it. Both points of a pair compute the same numbers.
@@ -265,7 +260,7 @@ def point_forces(
             before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
             by_viscosity += lost(k, 0, dt, viscous, before, now, losses)
             by_control += lost(k, 1, dt, against, before, now, losses)
-            own, a = apart(b, s.reverse[k], k), viscous + against
+            own, a = apart(side_force, s.reverse[k], k), viscous + against
             f0, f1, f2 = f0 + own[0] + a * x[0], f1 + own[1] + a * x[1], f2 + own[2] + a * x[2]
         f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
         losses.work[0, i] += by_viscosity

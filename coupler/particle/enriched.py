@@ -77,7 +77,7 @@ class EnrichedParticle(CompiledParticle):
         laws = self.law, self._whole_law_of
         self._inertia = CellInertia(laws, self.volume_of_point, step, sides, self._tag - 1, self.comm.allgather)
         self._random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
-        self._small = k.Small(np.zeros((everyone, 3)), np.zeros_like(self._force))
+        self._small = k.Small(np.zeros((everyone, 3)), np.zeros_like(self._side_force))
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
         self._rim = _one_sided(self._whole, self._scheme.h)[self._tag - 1]
@@ -109,11 +109,11 @@ class EnrichedParticle(CompiledParticle):
         return *others, self._residuals, force
 
     def _of_forces(self, is_last: bool) -> tuple[object, ...]:
-        losses, force, f = self._losses, self._force, self.points.f
+        losses, force, f = self._losses, self._side_force, self.points.f
         return self.dt, is_last, self._scheme, self._sides, self._motion, losses, force, f
 
     def _skip_step(self) -> None:
-        self._swap(self._side_sends, self._side_receives, self._force)
+        self._swap(self._side_sends, self._side_receives, self._side_force)
 
     def _add_inertia(self) -> None:
         if self._inertia.cells:
@@ -160,8 +160,8 @@ class EnrichedParticle(CompiledParticle):
         for _ in range(k.NEXT if before > 0.0 else k.FIRST):
             self._swap(self._sends, self._receives, small.u)
             together(k.linear_stress, n, self.law, self.law_of, self._scheme.V, sides, self._motion.X, F, J, small)
-            self._swap(self._side_sends, self._side_receives, small.force)
-            together(k.linear_forces, n, sides, small.force, f)
+            self._swap(self._side_sends, self._side_receives, small.side_force)
+            together(k.linear_forces, n, sides, small.side_force, f)
             self._inertia.slow(f)
             scale = -1.0 / (self.mass * omega2)
             share(respond, n, k.LEAST_POINTS)

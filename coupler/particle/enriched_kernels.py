@@ -9,7 +9,7 @@ from ..core.arrays import Arrays, Floats, Ints, Laws
 from ..core.loops import ranges
 from ..geometry.matrix_kernels import ROUNDING
 from ..geometry.vector_kernels import apart, dot
-from .blocks import BLOCK, ROWS, block_of, deform, forces, gather, residuals, scatter, strain
+from .blocks import BLOCK, ROWS, block_of, deform, forces, gather, residuals, scatter, six_of, strain
 from .compiled_kernels import (
     J_MAX,
     J_MIN,
@@ -29,12 +29,12 @@ ACROSS = 10.0 / 9.0  # stiffness of a residual over G: mean over directions of 1
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
     lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, s: Sides, m: Motion, d: Deformation, state: State, r: Residuals,
-    force: Floats,
+    side_force: Floats,
 ) -> int:  # fmt: skip
     """As `compiled_kernels.stress_points`, but with residuals. The strain increment follows from U at n and n+1, not from v.
 
-    Deviator and residuals form one yield condition and return to it by one factor. The forces b of the sides (`force`) are those of
-    the residuals and of the stress, with the term that balances the residuals. `particle.blocks` computes all but the plastic flow.
+    Deviator and residuals form one yield condition and return to it by one factor. The forces of the sides are those of the
+    residuals and of the stress, with the term that balances the residuals. `particle.blocks` computes all but the plastic flow.
     """
     failed = -1
     w = np.zeros((ROWS, BLOCK))
@@ -51,7 +51,7 @@ def stress_points(
             if not J_MIN <= J <= J_MAX and failed < 0:
                 failed = i
             unseen = b.square[c] / b.span[c]
-            trial = S[0, c], S[1, c], S[2, c], S[3, c], S[4, c], S[5, c]
+            trial = six_of(S, c)
             square = squared(trial) + 2.0 * ACROSS * law.G * law.G * unseen
             returned, back, deps = flow(i, law, trial, square, state.sigma_y)
             for k in range(6):
@@ -59,23 +59,14 @@ def stress_points(
             r.unseen[i] = 0.5 * ACROSS * law.G * back * back * unseen
             b.back[c], b.mean[c] = back, harden_and_press(i, dt, law, J, deps, state)
         forces(most, scheme.V, ACROSS, b)
-        scatter(first, hi, s, d, state, r.plastic, force, b)
+        scatter(first, hi, s, d, state, r.plastic, side_force, b)
     return failed
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def point_forces(
-    lo: int,
-    hi: int,
-    dt: float,
-    is_last: bool,
-    scheme: Scheme,
-    s: Sides,
-    m: Motion,
-    losses: Losses,
-    b: Floats,
-    f: Floats,
-) -> None:
+    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, s: Sides, m: Motion, losses: Losses, side_force: Floats, f: Floats,
+) -> None:  # fmt: skip
     """As `compiled_kernels.point_forces`, but without hourglass control."""
     for i in range(lo, hi):
         f0 = f1 = f2 = work = 0.0
@@ -87,7 +78,7 @@ def point_forces(
             viscous *= 1.0 / (r + 0.01 * scheme.h)
             before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
             work += lost(k, 0, dt, viscous, before, now, losses)
-            own = apart(b, s.reverse[k], k)
+            own = apart(side_force, s.reverse[k], k)
             f0, f1, f2 = f0 + own[0] + viscous * x[0], f1 + own[1] + viscous * x[1], f2 + own[2] + viscous * x[2]
         f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
         losses.work[0, i] += work

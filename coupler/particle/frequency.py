@@ -28,10 +28,10 @@ GRID = 128.0  # steps are powers of 2^(1 / GRID): so they do not depend on the l
 
 
 class Small(NamedTuple):
-    """A small motion u (N,3), and the response of the operator: force (s,3) of the sides, b in `model`."""
+    """A small motion u (N,3), and the response of the operator: side_force (s,3), as in `model`."""
 
     u: Floats
-    force: Floats
+    side_force: Floats
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,7 +66,7 @@ def linear_stress(
                     w * (u[1] - f[3] * d[0] - f[4] * d[1] - f[5] * d[2]),
                     w * (u[2] - f[6] * d[0] - f[7] * d[1] - f[8] * d[2]),
                 )
-                small.force[row, 0], small.force[row, 1], small.force[row, 2] = e
+                small.side_force[row, 0], small.side_force[row, 1], small.side_force[row, 2] = e
                 span, H = span + w * dot(d, d), add_outer(H, e, d)
             B, _ = inverse(matrix_of(F, i))
             e00, e01, e02, e10, e11, e12, e20, e21, e22 = product(f, B)
@@ -75,19 +75,19 @@ def linear_stress(
             sigma = mean + 2.0 * G * e00, xy, xz, xy, mean + 2.0 * G * e11, yz, xz, yz, mean + 2.0 * G * e22
             P, c, spring = product(sigma, transposed(B)), V * J[i], V * ACROSS * G / span
             for row in range(sides.first[i], sides.first[i + 1]):
-                g, e = vector_of(sides.gradient, row), vector_of(small.force, row)
+                g, e = vector_of(sides.gradient, row), vector_of(small.side_force, row)
                 for r in range(3):
                     q = (c * P[3 * r] - spring * H[3 * r]) * g[0] + (c * P[3 * r + 1] - spring * H[3 * r + 1]) * g[1]
-                    small.force[row, r] = spring * e[r] + q + (c * P[3 * r + 2] - spring * H[3 * r + 2]) * g[2]
+                    small.side_force[row, r] = spring * e[r] + q + (c * P[3 * r + 2] - spring * H[3 * r + 2]) * g[2]
 
 
 @njit(cache=True, nogil=True)
-def linear_forces(team: Ints, n: int, sides: Sides, b: Floats, f: Floats) -> None:
+def linear_forces(team: Ints, n: int, sides: Sides, side_force: Floats, f: Floats) -> None:
     """Pass 2 of `enriched_kernels` without viscosity: write forces to f (n,3), in all threads."""
     for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
         for i in range(lo, hi):
             f0 = f1 = f2 = 0.0
             for row in range(sides.first[i], sides.first[i + 1]):
-                own = apart(b, sides.reverse[row], row)
+                own = apart(side_force, sides.reverse[row], row)
                 f0, f1, f2 = f0 + own[0], f1 + own[1], f2 + own[2]
             f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2

@@ -2,8 +2,9 @@
 neighbours on other ranks.
 
 The letters are those of the equations in `particle.compiled_kernels`. A side is one point of a pair with the other as its
-neighbour: each pair has two sides. The force on point i by point j is b_ij - b_ji and the forces along x_j - x_i, where b (s,3) N, s:
-number of sides of this rank and then of other ranks, depends on the state of one point only. SI units.
+neighbour: each pair has two sides. The force on point i by point j is
+side_force_ij - side_force_ji plus the forces along x_j - x_i. side_force (s,3) N has the sides of this rank, then those of other ranks;
+each depends on the state of one point only. SI units.
 """
 
 from typing import NamedTuple

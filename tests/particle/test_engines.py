@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from lattices import HCP, ball
 from numba import njit
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import coupler
@@ -20,6 +22,7 @@ from coupler.core.threads import Team, threads_of, together
 from coupler.errors import SolverError
 from coupler.particle import compiled_kernels, packing, start
 from coupler.particle.compiled import CompiledParticle
+from coupler.particle.enriched import EnrichedParticle
 from coupler.particle.machdyn import MachdynParticle
 from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive
@@ -133,6 +136,22 @@ def test_a_spin_of_many_steps_keeps_the_rotation_exact(pair: Callable[..., tuple
     assert np.abs(particles[0].points.x - particles[1].points.x).max() < 1e-8 * D
     R = particles[1].points.R.reshape(-1, 3, 3)  # type: ignore[attr-defined]
     assert np.abs(np.einsum("nki,nkj->nij", R, R) - np.eye(3)).max() < 1e-12
+
+
+@pytest.mark.parametrize("engine", [CompiledParticle, EnrichedParticle])
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 0.2, 1.0, 3.0])
+def test_one_step_finds_the_rotation_of_any_turn(engine: type[CompiledParticle], angle: float) -> None:
+    """R of F = R U by scipy's polar decomposition; each point has its own F, the number of points is no multiple of a block."""
+    cloud, volume = packing.sphere(20e-6, 300)
+    p = engine(cloud[:-3], volume, constitutive.law_record(material("Ni")), (0.0, 0.0, 0.0), 300.0)
+    assert p.n % 8 > 0
+    stretch = np.array([[1.1, 0.05, 0.0], [0.05, 0.9, 0.02], [0.0, 0.02, 1.0]])
+    bent = p.X + 0.02 * p.X**2 / 10e-6
+    p.points.x[:] = bent @ stretch @ Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix().T
+    together(p._passes.stress_of_all, p.n, p._failed, p._of_stress())
+    expected = np.array([polar(F)[0].ravel() for F in p.points.F.reshape(-1, 3, 3)])
+    assert p.points.R == pytest.approx(expected, abs=1e-13)
+    p.close()
 
 
 def test_heat_between_steps(pair: Callable[..., tuple[Particle, Particle]]) -> None:
