@@ -1,5 +1,6 @@
 """The log file of a run."""
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -18,6 +19,10 @@ def logged(progress: Progress, store: Store) -> Iterator[None]:
     event.register("numba:compile", compiling)
     try:
         yield
+    except KeyboardInterrupt as stop:
+        by = f"the signal {signal.Signals(stop.args[0]).name}" if stop.args else "the user"
+        progress.record(f"stopped by {by}")
+        raise
     except BaseException as error:
         progress.record(f"{type(error).__name__}: {error}")
         raise

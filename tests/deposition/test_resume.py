@@ -361,6 +361,7 @@ def test_a_signal_writes_a_checkpoint_first(
     monkeypatch.setattr(Recorder, "record", record)
     assert main(["run", str(short), "--out", str(out), "--checkpoint", "1e9", "--quiet"]) == code
     assert f"continue with coldspray resume {out}" in capsys.readouterr().err
+    assert f"stopped by the signal {number.name}" in (out / "run.log").read_text()
     assert len(checkpoint.stored(out)) == 1
     assert not (out / "summary.json").exists()
     assert_same(shared_run(SHORT), resume(out))
