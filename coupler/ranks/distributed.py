@@ -35,11 +35,9 @@ class DistributedParticle:
         """local: the particle in one process, None if other ranks have it. points: number of points of all ranks. spacing m."""
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.steps, self.dt, self.waited = 0, 0.0, 0.0
-        self._alone = ranks.size == 1
         self._points: PointState | None = None  # gathered since the last step
-        self.failure: BaseException | None = None
-        if self._alone:
-            self.x, self.v, self.f_ext = self._part.points.x, self._part.points.v, self._part.f_ext
+        if local is not None:
+            self.x, self.v, self.f_ext = local.points.x, local.points.v, local.f_ext
             self._owner = [np.arange(self.n)]
         else:
             self.f_ext = np.zeros((self.n, 3))
@@ -51,32 +49,26 @@ class DistributedParticle:
         self.law_of: np.ndarray = self.whole("law_of")
         self.totals = self._sum_up()
 
-    @property
-    def _part(self) -> Particle:
-        """The particle's part on this rank, which in one process is the whole particle."""
-        assert self.local is not None, "this rank has no points"
-        return self.local
-
     # ---- between chunks of steps ------------------------------------------------------------------------------------------
 
     def ask(self, method: str, *arguments: object, each: Sequence[object] | None = None) -> list[Any]:
         """Call a method of the particle's part on every rank that has one. Returns the results by rank. each: one more argument for
         each rank. Raises the error of the first rank that failed."""
-        if self._alone:
+        if self.local is not None:
             return [getattr(self.local, method)(*arguments, *((each[0],) if each else ()))]
         r = self.ranks
         r.comm.bcast((method, arguments, each), root=r.root)
-        answers = self._gathered()[:-1]
+        answers = self._answers()
         for answer in answers:
             if isinstance(answer, BaseException):
                 raise answer
         return answers
 
-    def _gathered(self, own: object = None) -> list[Any]:
-        """Values that all ranks send to the root, by rank. own: value of the root."""
-        values = self.ranks.comm.gather(own, root=self.ranks.root)
+    def _answers(self) -> list[Any]:
+        """Results or errors of the other ranks, by rank."""
+        values = self.ranks.comm.gather(None, root=self.ranks.root)
         assert values is not None, "only the root gathers"
-        return values
+        return values[:-1]
 
     def whole(self, name: str) -> np.ndarray:
         """A field of all points (n, ...), by its name in `particle.particle.Particle`."""
@@ -84,7 +76,7 @@ class DistributedParticle:
 
     def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
         """An array of all points (n, ...) from the arrays of the ranks."""
-        if self._alone:
+        if self.local is not None:
             return parts[0]
         whole = np.empty((self.n, *parts[0].shape[1:]), parts[0].dtype)
         for ids, part in zip(self._owner, parts, strict=True):
@@ -102,8 +94,8 @@ class DistributedParticle:
     @property
     def points(self) -> PointState:
         """State of all points between two chunks of steps, in the order in which they were given. Read only."""
-        if self._alone:
-            return self._part.points
+        if self.local is not None:
+            return self.local.points
         if self._points is None:
             self._points = self.state().whole.points
         return self._points
@@ -136,7 +128,7 @@ class DistributedParticle:
         self.steps, self.dt = state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS computes its strains in the next step
         self._points = None
-        if not self._alone:
+        if self.local is None:
             self.x, self.v = self.whole("x"), self.whole("v")
 
     # ---- steps ---------------------------------------------------------------------------------------------------
@@ -149,19 +141,19 @@ class DistributedParticle:
 
         Raises the error of one of these functions or of a rank, after all ranks have ended the chunk.
         """
-        self.dt, self.failure = dt, None
-        if self._alone:
+        self.dt = dt
+        if self.local is not None:
 
             def on_step() -> None:
                 begin()
                 meet()
 
-            self._part.run(steps, dt, on_step)
+            self.local.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
         self.steps += steps
         self.totals = self._sum_up()
-        if not self._alone:
+        if self.local is None:
             self.x[:], self.v[:] = self.whole("x"), self.whole("v")
 
     def _run(
@@ -174,12 +166,13 @@ class DistributedParticle:
         where = [ids[row] for ids, row in zip(self._owner, rows, strict=True)]
         inbox = [np.zeros(1 + 6 * len(w)) for w in where]
         outbox = [np.zeros(1 + 3 * len(w)) for w in where]
-
-        def on_step() -> None:
+        failure: BaseException | None = None
+        r.comm.bcast(("run_steps", (steps, dt), rows), root=r.root)
+        for _ in range(steps):
             requests = [r.comm.Irecv(inbox[rank], source=rank, tag=STEP) for rank in r.sph]
-            self._try(begin)
+            failure = failure or caught(begin)
             started = clock.perf_counter()
-            failed = self.failure is not None
+            failed = failure is not None
             for i, request in enumerate(requests):
                 request.Wait()
                 failed |= bool(inbox[i][0])
@@ -189,44 +182,27 @@ class DistributedParticle:
             self.waited += clock.perf_counter() - started
             self.f_ext[:] = 0.0
             if not failed:
-                failed = self._try(meet)
+                failure = caught(meet)
+                failed = failure is not None  # the other ranks wait for this answer
             for rank in r.sph:
                 outbox[rank][0] = float(failed)
                 outbox[rank][1:] = self.f_ext[where[rank]].ravel()
                 r.comm.Send(outbox[rank], dest=rank, tag=STEP)
-
-        r.comm.bcast(("run_steps", (steps, dt), rows), root=r.root)
-        for _ in range(steps):
-            on_step()
-        answers = self._gathered()
-        if self.failure is not None:
-            raise self.failure
-        for rank in r.sph:
-            if isinstance(answers[rank], BaseException) and not isinstance(answers[rank], RemoteFailure):
-                raise answers[rank]
-
-    def _try(self, work: Callable[[], None]) -> bool:
-        """Call work() unless an error has occurred before. Returns whether there is an error now; the other ranks wait for this
-        answer."""
-        if self.failure is None:
-            self.failure = caught(work)
-        return self.failure is not None
+        answers = self._answers()
+        if failure is not None:
+            raise failure
+        for answer in answers:
+            if isinstance(answer, BaseException) and not isinstance(answer, RemoteFailure):
+                raise answer
 
     def idle(self, loop: float) -> list[float]:
         """Time, for each rank, that it has waited for others in steps, divided by the time `loop` (s). Empty in one process."""
-        if self._alone:
-            return []
-        r = self.ranks
-        r.comm.bcast(("waited", (), None), root=r.root)
-        return [seconds / loop for seconds in self._gathered(self.waited)]
+        waited = [] if self.local is not None else [*self.ask("waiting"), self.waited]
+        return [seconds / loop for seconds in waited]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
         """Call a function of a module on every rank. Returns the results by rank."""
-        if self._alone:
-            return [work()]
-        self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)
-        gathered: list[R] = self._gathered(work())
-        return gathered
+        return [*([] if self.local is not None else self.ask("call", work)), work()]
 
     def close(self) -> None:
         """Close the LAMMPS instance of this rank."""

@@ -11,9 +11,10 @@ import signal
 import sys
 import time as clock
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -123,12 +124,10 @@ def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], 
                 if worker.local is not None:
                     worker.local.close()
                 worker = _Worker(ranks, build(*arguments))
-            elif order == "waited":
-                comm.gather(worker.waited, root=root)
-            elif order == "everywhere":
-                comm.gather(arguments[0](), root=root)
             else:
-                comm.gather(attempt(worker, order, arguments, each), root=root)
+                own = () if each is None else (each[ranks.rank],)  # the last argument of this rank
+                party = worker if order in vars(_Worker) else worker.local
+                comm.gather(caught(partial(getattr(party, order), *arguments, *own)), root=root)
         except BaseException as error:
             if not isinstance(error, ColdsprayError):
                 traceback.print_exc()
@@ -143,13 +142,17 @@ class _Worker:
         if local is not None:
             local.is_shared = True
 
+    def waiting(self) -> float:
+        return self.waited
+
+    def call(self, work: Callable[[], R]) -> R:
+        return work()
+
     def run_steps(self, steps: int, dt: float, rows: np.ndarray) -> None:
         p, comm, root = self.local, self.ranks.comm, self.ranks.root
         assert p is not None, "only ranks with points make steps"
-        k = 3 * len(rows)
+        k, done = 3 * len(rows), 0
         outbox, inbox = np.zeros(1 + 2 * k), np.zeros(1 + k)
-
-        done = 0
 
         def on_step() -> None:
             nonlocal done
@@ -172,14 +175,6 @@ class _Worker:
             for _ in range(steps - done):  # LAMMPS has stopped early: the root waits for all steps of the chunk
                 comm.Send(outbox, dest=root, tag=STEP)
                 comm.Recv(inbox, source=root, tag=STEP)
-
-
-def attempt(worker: _Worker, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
-    """Call a method of a rank's part of the particle, or `run_steps` of the worker. each: one more argument, different for each rank.
-    Returns the result or the error."""
-    if each is not None:
-        arguments = (*arguments, each[worker.ranks.rank])
-    return caught(lambda: getattr(worker if method == "run_steps" else worker.local, method)(*arguments))
 
 
 def caught(work: Callable[[], R]) -> R | BaseException:
