@@ -57,7 +57,7 @@ class ElementImpact:
         points *= (volume / float(volumes(points, tets).sum())) ** (1.0 / 3.0)
         points[:, 2] += p.gap - points[:, 2].min()
         n, m = len(points), len(tets)
-        law = law_record(p.material, plan.effects.switches, p.rate_filter)
+        law = law_record(p.material, vars(plan.effects), p.rate_filter)
         body = BodyState(
             points, tets, np.zeros((m, 6)), np.ones(m), np.tile(p.velocity, (n, 1)), np.zeros(n), p.material.rho * volume, law,
             eps_p=np.zeros(m), T=np.full(m, p.temperature), eps_gradient=np.zeros((m, 3)),

@@ -74,7 +74,7 @@ def build_target(plan: Plan) -> Bodies:
     sizes = t.diameter, t.height - below, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
     top = None if t.is_flat else t.heights
     points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread, top=top, below=below), MESHING_LIMIT)
-    law_of = partial(law_record, on=plan.effects.switches, rate_filter=plan.impacts[0].rate_filter)
+    law_of = partial(law_record, on=vars(plan.effects), rate_filter=plan.impacts[0].rate_filter)
     fixed, absorbing, on = t.faces("fixed"), t.faces("absorbing"), plan.effects
     at = plan.impacts[0].offset
     mesh = prepare(points, tets, (*at, float(t.heights(np.array([at]))[0])))
@@ -196,7 +196,7 @@ def build_particle(
     place (3,) m: centre; body: result of `body_of`, computed by default; others: as in `build_domains`.
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
-    law = np.concatenate([law_record(metal, plan.effects.switches, p.rate_filter) for metal in p.materials])
+    law = np.concatenate([law_record(metal, vars(plan.effects), p.rate_filter) for metal in p.materials])
     usual = {"inertia": ENOUGH} if plan.mass_scaling and plan.is_on_coating(i) else {}
     settings = Numerics(**usual | dict(numerics or {}))
     return engine(plan.engine, settings)(

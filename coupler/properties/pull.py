@@ -84,7 +84,7 @@ def strengths(
         raise StoreError(
             f"{result.directory}: cold.vtkhdf has no strength of bonds: run the scene again with this version"
         )
-    laws = np.concatenate([law_record(metal, plan.effects.switches, RATE_TIME) for metal in metals])
+    laws = np.concatenate([law_record(metal, vars(plan.effects), RATE_TIME) for metal in metals])
     low, high, _ = corners(splats, side, heights)
     of_splats = splats.mesh.cells[splats.impact[splats.body] > 0]
     lowest, found = float(splats.mesh.points[of_splats, 2].min()) - 2.0 * splats.element_size, []

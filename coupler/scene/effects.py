@@ -1,6 +1,6 @@
 """Names of the effects of a scene, and the check of its key `effects`."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from .. import units
@@ -30,14 +30,9 @@ class Effects:
     recovery: bool
 
     @property
-    def switches(self) -> dict[str, bool]:
-        """All effects by name, True for on, as `constitutive.law_record` needs them."""
-        return asdict(self)
-
-    @property
     def active(self) -> list[str]:
         """Names of the effects that are on."""
-        return [name for name, on in self.switches.items() if on]
+        return [name for name, on in vars(self).items() if on]
 
 
 NAMES = tuple(field.name for field in fields(Effects))

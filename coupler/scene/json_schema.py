@@ -20,17 +20,13 @@ def scene_schema() -> dict[str, Any]:
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a scene of coldspray", "description": ""} | _draft_4(whole)
     properties, tables = schema["properties"], schema["definitions"]
     properties["particle"] = {}
-    names = [sign + name for sign in ("", "+", "-") for name in NAMES]
-    properties["effects"] = {
-        "anyOf": [{"enum": [*WHOLE]}, {"type": "array", "items": {"enum": ["auto", "all", "none", *names]}}]
-    }
+    names = [*WHOLE, *(sign + name for sign in ("", "+", "-") for name in NAMES)]
+    properties["effects"] = {"anyOf": [{"enum": [*WHOLE]}, {"type": "array", "items": {"enum": names}}]}
     tables["AdhesionTable"]["properties"]["threshold"] = {"type": ["number", "string"]}
     for name, entry in properties.items():
-        table = tables.get(
-            str(entry.get("$ref", "#/definitions/Particle" if name == "particle" else "")).rpartition("/")[2]
-        )
-        _described(f"{name}.about" if table else name, entry)
-        for key, of_key in (table["properties"] if table else {}).items():
+        model = "Particle" if name == "particle" else str(entry.get("$ref", "")).rpartition("/")[2]
+        _described(f"{name}.about" if model in tables else name, entry)
+        for key, of_key in tables.get(model, {"properties": {}})["properties"].items():
             _described(f"{name}.{key}", of_key)
     for key, of_key in tables["Share"]["properties"].items():
         _described(f"coating.powder.{key}" if key == "share" else f"coating.{key}", of_key)

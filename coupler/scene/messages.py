@@ -4,7 +4,7 @@ import copy
 import json
 import re
 from collections.abc import Mapping
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -33,26 +33,23 @@ _EXPECTED = {
 def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
     """The scene with valid values instead of the faulty fields, so that relations between the other fields can be checked. faulty:
     paths of the fields. None if the scene is not valid with these values."""
-    mended = copy.deepcopy(dict(raw))
+    mended: dict[str, Any] = copy.deepcopy(dict(raw))
     particles = mended.get("particle")
     mended["particle"] = particles if isinstance(particles, list) else [particles]
     for section, *inner in faulty:
         table = mended.get(str(section))
         if section == "particle" and inner and isinstance(table, list):
             table, *inner = table[int(inner[0])], *inner[1:]
-            if inner and isinstance(table, dict):
-                table.pop(inner[0], None)
         elif section in ("gas", "nozzles", "coating") or not inner:  # the particles already have their data
             mended.pop(str(section), None)
-        elif isinstance(table, dict):
+        if inner and isinstance(table, dict):
             table.pop(inner[0], None)
-    particles = mended.get("particle")
-    mended["particle"] = [
-        _EXAMPLES["particle"] | (particle if isinstance(particle, dict) else {})
-        for particle in (particles if isinstance(particles, list) and particles else [{}])
-    ]
-    substrate = mended.get("substrate")
-    mended["substrate"] = _EXAMPLES["substrate"] | (substrate if isinstance(substrate, dict) else {})
+
+    def filled(name: str, table: object) -> dict[str, object]:
+        return _EXAMPLES[name] | (table if isinstance(table, dict) else {})
+
+    mended["particle"] = [filled("particle", table) for table in mended.get("particle", [{}])]
+    mended["substrate"] = filled("substrate", mended.get("substrate"))
     return read_table(SceneData, mended)[0]
 
 

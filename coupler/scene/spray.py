@@ -6,8 +6,6 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationInfo, 
 
 from .values import Quantity, Section
 
-_GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
-
 
 class GasConditions(Section):
     """Gas and nozzle of the spray. They give the velocity and temperature of particles for which the scene has no values. SI units.
@@ -27,32 +25,20 @@ class GasConditions(Section):
     bow_shock: StrictBool = False
     drag: Literal["henderson", "carlson-hoglund"] = "henderson"
 
-    @field_validator("kind", mode="before")
-    @classmethod
-    def _by_any_name(cls, value: object) -> object:
-        return _GASES.get(value.lower(), value) if isinstance(value, str) else value
 
+class GunPath(Section):
+    """The motion of the spray gun over the target, on lines along y. SI units; the defaults are usual conditions.
 
-class Track(Section):
-    """The motion of the spray gun over the target. SI units; the defaults are usual conditions.
-
-    feed_rate (kg/s): feed rate of the powder; spot (m): diameter of the uniform spray spot; traverse_speed (m/s): speed of the gun.
-    """
-
-    feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
-    spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
-    traverse_speed: Annotated[float, Quantity("mm/s", "0.1 mm/s", "10 m/s")] = 0.3
-
-
-class GunPath(Track):
-    """The path of the gun, lines along y. SI units.
-
+    feed_rate (kg/s): feed rate of the powder; spot (m): diameter of the spray spot; traverse_speed (m/s): speed of the gun.
     distribution: mass flow over the spot, "uniform", "gaussian" or the name of a .csv file. passes: number of lines, None: the gun does
     not move, and the particles have the mean rate over the spot. step: distance of two lines in x, None: all passes are on one line.
     first: x of the first line, None: the lines are centred about 0. length: length of each line, with y = 0 in its middle. angle (rad):
     angle of the gun to the surface normal, in the plane of x and z; the particles fly to +x.
     """
 
+    feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
+    spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
+    traverse_speed: Annotated[float, Quantity("mm/s", "0.1 mm/s", "10 m/s")] = 0.3
     distribution: str = "uniform"
     passes: StrictInt | None = Field(default=None, ge=1, le=1000)
     step: Annotated[float | None, Quantity("mm", "0.001 mm", "100 mm")] = None

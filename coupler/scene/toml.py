@@ -162,16 +162,15 @@ def _value(text: str) -> Any:
 
 
 def _inline(table: Section) -> str:
-    """A table as TOML text in one line."""
-    said = {field: value for field, value in table if value is not None}
-    return "{ " + ", ".join(f"{field} = {_written(table, field, value)}" for field, value in said.items()) + " }"
+    said = [f"{field} = {_written(table, field, value)}" for field, value in table if value is not None]
+    return f"{{ {', '.join(said)} }}"
 
 
 def _written(table: Section, field: str, value: Any) -> str:
     """A value as text in a scene, in the unit of its field."""
-    by_size = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize)), None)
-    if by_size is not None:
-        pairs = [[units.show(size, "um"), units.show(number, by_size.of.unit)] for size, number in value]
+    kind = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize | Quantity)), None)
+    if isinstance(kind, BySize):
+        pairs = [[units.show(size, "um"), units.show(number, kind.of.unit)] for size, number in value]
         return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
     if isinstance(value, Section):
         return _inline(value)
@@ -179,9 +178,8 @@ def _written(table: Section, field: str, value: Any) -> str:
         return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
     if field in ("pair", "powder", "layer"):
         return f"[{', '.join(_inline(row) for row in value)}]"
-    quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
     if field in ("offset", "sizes") and isinstance(value, tuple):
         return json.dumps([units.show(x, "um") for x in value])
     if field == "threshold" and dict(table).get("criterion") == "pressure":
         return json.dumps(units.show(value, "MPa"))
-    return json.dumps(units.show(value, quantity.unit) if quantity else value)
+    return json.dumps(units.show(value, kind.unit) if kind else value)

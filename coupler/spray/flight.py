@@ -118,8 +118,7 @@ def fly_together(
 
     D, gas, rho, (given, c_p) = np.asarray(diameters, np.float64), flow.gas, material.rho, np.transpose(material.cp)
     columns = []
-    # sphere by sphere; the spheres are independent
-    y = np.tile([flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D))
+    y = np.tile([flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D))  # sphere by sphere
     for start, stop, state in flow.pieces:
 
         def slope(x: float, y: NDArray[np.float64], state: Callable[[float], State] = state) -> NDArray[np.float64]:
@@ -129,13 +128,8 @@ def fly_together(
             Re, M = rho_gas * w * D / gas.viscosity(T_gas), w / gas.sound(T_gas)
             push = 3 / 4 * drag(Re, M, T / T_gas, gas.gamma) * rho_gas * w * (u - v) / (rho * D)
             T_r = T_gas * (1 + math.sqrt(gas.Pr) * (gas.gamma - 1) / 2 * M**2)
-            heat = (
-                6
-                * nusselt(Re, M, gas.Pr)
-                * gas.conductivity(T_gas)
-                * (T_r - T)
-                / (rho * np.interp(T, given, c_p) * D**2)
-            )
+            gain = 6 * nusselt(Re, M, gas.Pr) * gas.conductivity(T_gas) * (T_r - T)
+            heat = gain / (rho * np.interp(T, given, c_p) * D**2)
             return np.stack([push / v, heat / v, 1 / v], axis=1).ravel()
 
         # finer at both ends, where the gas changes fastest: throat and shock
@@ -149,8 +143,8 @@ def fly_together(
                 f"cannot integrate the flight of particles of {which} um between x = {start * 1e3:.3g} and {stop * 1e3:.3g} mm:"
                 " check diameters, metal and gas"
             )
-        gas_there = np.array([state(float(x)) for x in xs])
-        columns.append(np.vstack([xs, gas_there[:, 0], gas_there[:, 1], solved.y]))
+        u, T_gas, _ = np.transpose([state(float(x)) for x in xs])
+        columns.append(np.vstack([xs, u, T_gas, solved.y]))
         y = solved.y[:, -1]
     table = np.hstack(columns)
     return [Flight(*table[:3], *table[3 + 3 * i : 6 + 3 * i]) for i in range(len(D))]

@@ -85,9 +85,8 @@ def area_ratio(M: float, gamma: float) -> float:
 
 
 def mach(ratio: float, gamma: float, supersonic: bool) -> float:
-    """Mach number where the flow area divided by the area of the throat is `ratio`: the inverse of `area_ratio`, on its subsonic or
-    supersonic branch. A nozzle is
-    nowhere narrower than its throat: the ratio is 1 or more."""
+    """Mach number where the flow area divided by the area of the throat is `ratio`, at least 1: the inverse of `area_ratio`, on its
+    subsonic or supersonic branch."""
     from scipy.optimize import brentq
 
     if ratio < 1 + 1e-15:
