@@ -50,7 +50,6 @@ SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, which have a large surface: 4.2 
 # wall time of one step, one core, by engine
 SECONDS_PER_POINT = {"compiled": 0.7e-6, "enriched": 1.0e-6, "machdyn": 2.6e-6}
 SECONDS_PER_ELEMENT = 0.12e-6
-SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4
 SECONDS_PER_RUN = 0.3  # files and pictures, without the start of the program
 SECONDS_PER_MESHED_ELEMENT = 1e-4
@@ -134,9 +133,8 @@ def stopping_time(
     """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829): (2/3) rho_p D /
     sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): temperatures of
     particle and target; velocity m/s, diameter m."""
-    rate = velocity / diameter
+    rate, (particle, target) = velocity / diameter, materials
     H = HARDNESS_OVER_FLOW_STRESS * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
-    particle, target = materials
     slowing = math.atan(velocity * math.sqrt(target.rho / (2.0 * H)))
     return 2.0 / 3.0 * particle.rho * diameter / math.sqrt(0.5 * H * target.rho) * slowing
 
@@ -188,29 +186,25 @@ def step_time(steps: float, points: float, n_elements: float, engine: str) -> fl
 @dataclass(frozen=True)
 class Forecast:
     """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact two fractions of the wall time, before
-    its steps and of its steps; whole: wall time, s; memory, files: bytes; target_load: cost of target and contact divided by cost of
-    the particles."""
+    its steps and of its steps; whole: wall time, s; memory, files: bytes."""
 
     steps: list[int]
     shares: list[tuple[float, float]]
     whole: float
     memory: float
     files: float
-    target_load: float
 
 
 def forecast(plan: Plan) -> Forecast:
     """The expected cost of a plan."""
-    impacts, engine = plan.impacts, plan.engine
+    impacts = plan.impacts
     # elements of all bodies before each impact, substrate and splats
     met = list(accumulate((i.splat_elements for i in impacts[:-1]), initial=plan.target.elements_estimate))
     steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
-    looped, between, files, target, particle = list[float](), _between(plan, met), 0.0, 0.0, 0.0
+    looped, between, files = list[float](), _between(plan, met), 0.0
     for n, impact, elements in zip(steps, impacts, met, strict=True):
-        computed, points = _computed(plan, impact, elements), impact.points
-        looped.append(step_time(n, points, computed, engine))
-        target += n * (SECONDS_PER_ELEMENT * computed + SECONDS_PER_CONTACT_POINT * points)
-        particle += n * SECONDS_PER_POINT[engine] * points
+        points = impact.points
+        looped.append(step_time(n, points, _computed(plan, impact, elements), plan.engine))
         # steps at regular times, at the greatest deformation and at the end; or only the end
         every = max(impact.output_every, CHUNK * impact.dt_expected)
         stored = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
@@ -220,7 +214,7 @@ def forecast(plan: Plan) -> Forecast:
     whole = ends[-1] + SECONDS_PER_RUN
     shares = [(begin / whole, own / whole) for begin, own in zip(ends, looped, strict=False)]
     time = whole + SECONDS_PER_MESHED_ELEMENT * plan.target.elements_estimate
-    return Forecast(steps, shares, time, memory(max(i.points for i in impacts), met[-1]), files, target / particle)
+    return Forecast(steps, shares, time, memory(max(i.points for i in impacts), met[-1]), files)
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..core.arrays import Floats
+from ..core.arrays import Floats, Vector
 from ..geometry import rough
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
@@ -15,7 +15,6 @@ from ..scene.effects import Effects
 from ..scene.ground import Face
 from .batches import Batch, Landing, batches_of
 
-Vector = tuple[float, float, float]
 VERTICAL = (0.0, 0.0, 1.0)
 
 

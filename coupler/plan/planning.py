@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from .. import units
+from ..core.arrays import Vector
 from ..geometry.tetrahedra import COARSEST
 from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, pair_formula
@@ -19,7 +20,7 @@ from . import effects
 from .batches import batches_of
 from .gas import describe as describe_gas
 from .ground import ground_of
-from .model import ImpactPlan, Plan, SolidPlan, TargetPlan, Vector, towards
+from .model import ImpactPlan, Plan, SolidPlan, TargetPlan, towards
 from .reading import Scene
 from .refinement import companions
 from .remarks import absorbing_distance, remarks
@@ -116,20 +117,18 @@ def _under(scene: Scene, i: int, normals: Sequence[Vector]) -> tuple[Material, f
 
 
 def _impact(scene: Scene, i: int, normals: Sequence[Vector]) -> ImpactPlan:
-    particle = scene.particles[i]
-    D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
+    d, particle = scene.derived, scene.particles[i]
+    D, v, cap, angle = particle.diameter, particle.velocity, d.end_time_of(particle), particle.angle
     end_at: Literal["rest", "greatest", "time"] = "rest" if scene.end.time is None else "time"
     if scene.end.at is not None:
         end_at = "rest" if scene.end.at == "cold" else scene.end.at
-    material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i, normals)
-    joins = scene.derived.adhesion_law.joins(material, base)
+    material, (base, T, on_splat) = d.material(particle.material), _under(scene, i, normals)
+    joins = d.adhesion_law.joins(material, base)
     load = estimates.loads((material, base), (particle.temperature, T), v, D)
-    points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest earlier, but not in proportion to their height
-    d, angle, engine = scene.derived, particle.angle, scene.resolution.engine
-    fastest = max(d.material(name).wave_speed for name in particle.materials)
-    dt = estimates.time_step(d.spacing, fastest, load, points, angle, engine, tall)
+    fastest, points = max(d.material(name).wave_speed for name in particle.materials), particle.volume / d.spacing**3
+    dt = estimates.time_step(d.spacing, fastest, load, points, angle, scene.resolution.engine, tall)
     return ImpactPlan(
         material=material,
         shape=particle.shape,
@@ -143,7 +142,7 @@ def _impact(scene: Scene, i: int, normals: Sequence[Vector]) -> ImpactPlan:
         spacing=d.spacing,
         points=d.points_of(particle),
         end_time=cap * (estimates.ON_SPLATS if i > 0 and scene.end.time is None else 1.0),
-        expected=estimates.expected_time(cap, height, v, end_at, load, particle.angle),
+        expected=estimates.expected_time(cap, height, v, end_at, load, angle),
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
         output_every=d.output_every_of(particle),

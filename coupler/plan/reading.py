@@ -193,17 +193,14 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
         several = {"dwell": f"{text_of(d.time_between, 'us')}  (from: spray)"} if len(scene.particles) > 1 else {}
         return {"gap": f"{text_of(d.gap_of(table), 'um')}  (from: half a spacing)", **several}
     first, each = scene.particle, ", of the first impact" if len(scene.particles) > 1 else ""
-    every, end = d.output_every_of(first), d.end_time_of(first)
+    every, end = d.output_every_of(first), text_of(d.end_time_of(first), "ns")
     spacing, size = f"{text_of(d.spacing, 'um')}  (from: preset)", f"{text_of(d.element_size, 'um')}  (from: spacing)"
     kind = f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)'
+    often = {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"} if math.isfinite(every) else {}
     return {
         "[adhesion]": {"kind": kind, "criterion": f'"{d.adhesion_law.criterion}"  (from: kind)'},
         "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},
         "[resolution]": {"spacing": spacing, "element_size": size},
-        "[end]": {
-            "time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity, or twice the time to stop, at most{each})"
-        },
-        "[output]": {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"}
-        if math.isfinite(every)
-        else {},
+        "[end]": {"time": f"{end}  (from: 3 diameter / velocity, or twice the time to stop, at most{each})"},
+        "[output]": often,
     }.get(head, {})

@@ -35,7 +35,7 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}"
-        + (", rough: Sa {}".format(show(target.roughness[0], "um")) if target.roughness else "")
+        + (f", rough: Sa {show(target.roughness[0], 'um')}" if target.roughness else "")
         + _heights(target)
         + "".join(f", {metal.name} {show(thickness, 'um')}" for metal, thickness in target.layers),
         *_strength(plan, brief),
@@ -60,8 +60,6 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         return "\n".join([*lines, *notes])
     lines += [
         "  retry      after a failure: again from its start with half the time step, then a quarter",
-        f"  two ranks  mpiexec -n 2 coldspray run ...: target and contact take {expected.target_load:.2g} times"
-        f" as long as the particle",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),
@@ -104,12 +102,10 @@ def _note(warning: str, brief: bool) -> list[str]:
 
 
 def _shortened(lines: list[str], brief: bool) -> list[str]:
-    """The lines; with `brief` only the first of them."""
     return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
 
 
 def _impacts(plan: Plan, most: int) -> list[str]:
-    """Text lines about the first `most` particles, one line for each."""
     if len(plan.impacts) == 1:
         return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
     lines = [
@@ -169,7 +165,6 @@ def _window(plan: Plan) -> list[str]:
 
 
 def _ends(plan: Plan) -> str:
-    """Line about the end of the impacts, and the time between written steps."""
     several = len(plan.impacts) > 1
     last = sorted({i.end_time for i in plan.impacts})
     often = sorted({max(i.output_every, estimates.CHUNK * i.dt_expected) for i in plan.impacts})
