@@ -102,8 +102,7 @@ class Progress:
         self._impact = self._impact if of_impact else ""
         self.record(f"{self._impact}{text}")
         self._open()
-        if self._bar:
-            self._draw(f"{self._impact}{text}")
+        self._draw(f"{self._impact}{text}")
         if self._ticker is None and not self.quiet:
             self._stopped.clear()
             self._ticker = threading.Thread(target=self._tick, daemon=True)
@@ -118,8 +117,6 @@ class Progress:
     def log(self, text: str) -> None:
         """Show a line of text; on a terminal it appears above the bar."""
         self.record(text)
-        if self.quiet:
-            return
         if self._bar:
             self._bar.console.print(text, markup=False, highlight=False)
         else:
@@ -184,10 +181,10 @@ class Progress:
         return self._done + self._share * step / (step + steps_left)
 
     def _open(self) -> None:
-        """Show the progress bar if the output is a terminal."""
         is_terminal = getattr(self.stream, "isatty", lambda: False)  # other stream classes may lack it
         if self._bar is None and not self.quiet and is_terminal():
-            self._bar = _bar(self.stream)
+            columns = (BarColumn(bar_width=30), TextColumn("{task.fields[status]}", markup=False))
+            self._bar = Bar(*columns, console=Console(file=self.stream), refresh_per_second=10)
             self._bar.add_task("", total=1.0, status="")
             self._bar.start()
         self._next = self._next or time.monotonic() + (0.0 if self._bar else _FIRST_LINE)
@@ -201,19 +198,16 @@ class Progress:
         """Show the state of an impact; without a bar, only if it has changed."""
         state = (self.time, self._state[2])
         if self._bar or state != self._shown:
-            self._show(self.status(now))
-        self._shown = state
-
-    def _show(self, text: str) -> None:
-        if self._bar:
-            self._draw(text)
-        else:
-            self.record(text)
-            if not self.quiet:
+            text = self.status(now)
+            if not self._draw(text):
+                self.record(text)
                 self._print(text)
+        self._shown = state
 
     def _print(self, text: str) -> None:
         """Print a line to the stream. After a line that cannot be written, such as on a full disk, no more lines are printed."""
+        if self.quiet:
+            return
         try:
             print(text, file=self.stream, flush=True)
         except BrokenPipeError:
@@ -221,9 +215,11 @@ class Progress:
         except (OSError, ValueError):  # ValueError: a stream that is closed
             self.quiet = True
 
-    def _draw(self, text: str) -> None:
+    def _draw(self, text: str) -> bool:
+        """Show a text beside the bar. Returns whether there is a bar."""
         if self._bar:
             self._bar.update(self._bar.task_ids[0], completed=self._fraction(), status=text)
+        return self._bar is not None
 
     def _tick(self) -> None:
         """Show the duration of a stage: on a terminal every second, else every _LINE_EVERY seconds."""
@@ -233,9 +229,7 @@ class Progress:
                 continue
             left = math.nan if self._impact else self._to_go_of_batches(stage[1], self._done)
             text = f"{self._impact}{stage[0]} ... {now - stage[1]:.0f} s{_words(left)}"
-            if self._bar:
-                self._draw(text)
-            elif now >= self._next:
+            if not self._draw(text) and now >= self._next:
                 self._print(text)
                 self._next = now + _LINE_EVERY
 
@@ -243,8 +237,3 @@ class Progress:
 def _words(left: float) -> str:
     """The remaining time as text; "" if it is unknown."""
     return "" if math.isnan(left) else f"  about {left:.0f} s remaining"
-
-
-def _bar(stream: TextIO) -> Bar:
-    columns = (BarColumn(bar_width=30), TextColumn("{task.fields[status]}", markup=False))
-    return Bar(*columns, console=Console(file=stream), refresh_per_second=10)

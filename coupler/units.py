@@ -22,10 +22,7 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "temperature": ("300 K", {"K": "1", "degC": "1", "C": "1"}),
     "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12", "min": "60", "h": "3600"}),
     "pressure": ("180 MPa", {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9", "bar": "1e5", "HV": "9806650"}),
-    "density": (
-        "8906 kg/m^3",
-        {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1e3", "g/cm3": "1e3"},
-    ),
+    "density": ("8906 kg/m^3", {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1e3", "g/cm3": "1e3"}),
     "specific heat": ("456 J/(kg K)", {"J/(kg K)": "1", "J/kgK": "1", "J/kg/K": "1", "kJ/(kg K)": "1e3"}),
     "conductivity": ("91 W/(m K)", {"W/(m K)": "1", "W/mK": "1", "W/m/K": "1"}),
     "mass rate": ("30 g/min", {"kg/s": "1", "kg/h": "1/3600", "g/s": "1e-3", "g/min": "1/60000"}),
@@ -51,7 +48,8 @@ def parse(value: object, dimension: str) -> float:
     value: text with a number and a unit; other values are refused. dimension: a name such as "length". Returns the value in the SI unit
     of the dimension (angles: radians, temperatures: kelvin). Raises UnitError with a message that continues "particle.diameter = 25: ".
     """
-    wanted = _wanted(dimension)
+    example, units = _DIMENSIONS[dimension]
+    wanted = f'{_named(dimension)} with its unit, such as "{example}"'
     if not isinstance(value, str):
         raise UnitError(f"needs {wanted}")
     match = _QUANTITY.fullmatch(value.translate(_MICRO_SIGNS)) if len(value) <= _LONGEST else None
@@ -60,9 +58,10 @@ def parse(value: object, dimension: str) -> float:
     number, unit = match.group(1), match.group(2)
     if unit is None:
         raise UnitError(f"has no unit: needs {wanted}")
-    units = _DIMENSIONS[dimension][1]
     if unit not in units:
-        raise UnitError(f"{_wrong_unit(unit, units)}: needs {wanted}")
+        other = _DIMENSION_OF.get(unit)
+        wrong = f"is {_named(other)}" if other else f"has an unknown unit{nearest(unit, units)}"
+        raise UnitError(f"{wrong}: needs {wanted}")
     return _in_si(number, unit, dimension)
 
 
@@ -97,9 +96,8 @@ def dimension_of(unit: str) -> str:
 
 def pattern(dimension: str) -> str:
     """A regular expression for a number with a unit of a dimension, for JSON schemas."""
-    known = "|".join(
-        re.escape(unit).replace("u", "[uµμ]").replace("deg", "(deg|°)") for unit in _DIMENSIONS[dimension][1]
-    )
+    written = (re.escape(unit).replace("u", "[uµμ]").replace("deg", "(deg|°)") for unit in _DIMENSIONS[dimension][1])
+    known = "|".join(written)
     return rf"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*({known})\s*$"
 
 
@@ -115,14 +113,5 @@ def _plain(value: float, digits: int) -> str:
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text  # 20 instead of 2e+01
 
 
-def _wanted(dimension: str) -> str:
-    article = "an" if dimension[0] in "aeiou" else "a"
-    return f'{article} {dimension} with its unit, such as "{_DIMENSIONS[dimension][0]}"'
-
-
-def _wrong_unit(unit: str, units: dict[str, str | float]) -> str:
-    other = _DIMENSION_OF.get(unit)
-    if other:
-        article = "an" if other[0] in "aeiou" else "a"
-        return f"is {article} {other}"
-    return f"has an unknown unit{nearest(unit, units)}"
+def _named(dimension: str) -> str:
+    return f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"

@@ -103,9 +103,8 @@ def _mpi() -> Executor:
     from mpi4py.futures import MPIPoolExecutor
 
     if MPI.COMM_WORLD.Get_size() < 2:
-        raise ColdsprayError(
-            "the executor mpi needs two ranks or more: mpiexec -n N python -m mpi4py.futures -m coupler sweep ... --executor mpi"
-        )
+        start = "mpiexec -n N python -m mpi4py.futures -m coupler sweep ... --executor mpi"
+        raise ColdsprayError(f"the executor mpi needs two ranks or more: {start}")
     pool: Executor = MPIPoolExecutor(main=False)
     return pool
 
@@ -114,10 +113,8 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     """Executor that uses pilot jobs of Slurm (Babuji et al. 2019, doi:10.1145/3307681.3325400). Each job computes until no
     computation is left or its time limit is reached."""
     if shutil.which("sbatch") is None:
-        raise ColdsprayError(
-            "the executor slurm needs the command sbatch, which is not installed on this machine: use a Slurm"
-            " cluster, or another --executor"
-        )
+        lacks = "the executor slurm needs the command sbatch, which is not installed on this machine"
+        raise ColdsprayError(f"{lacks}: use a Slurm cluster, or another --executor")
     try:
         from parsl.concurrent import ParslPoolExecutor
         from parsl.config import Config
@@ -128,9 +125,8 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         raise ColdsprayError("the executor slurm needs Parsl: pip install coldspray[cluster]") from error
     cores = options.pop("cores")
     if not (cores.isdecimal() and int(cores) > 0):
-        raise ColdsprayError(
-            f"--slurm cores={cores}: give the number of runs at the same time in one Slurm job, a whole number of at least 1"
-        )
+        needed = "give the number of runs at the same time in one Slurm job, a whole number of at least 1"
+        raise ColdsprayError(f"--slurm cores={cores}: {needed}")
     at_once, time = min(int(cores), count), options.pop("time")
     if not re.fullmatch(r"\d+:\d\d:\d\d", time):
         raise ColdsprayError(f"--slurm time={time}: give hours, minutes and seconds, such as 04:00:00")
@@ -154,12 +150,6 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         encrypted=True,
         working_dir=str(folder),
     )
-    config = Config(
-        [workers],
-        run_dir=str(folder / "slurm"),
-        retries=RETRIES,
-        strategy="simple",
-        initialize_logging=False,
-        usage_tracking=0,
+    return ParslPoolExecutor(
+        Config([workers], run_dir=str(folder / "slurm"), retries=RETRIES, initialize_logging=False)
     )
-    return ParslPoolExecutor(config)

@@ -27,18 +27,13 @@ LEAST_ROWS = 4000  # in a range of `rows_at`, at least
 R = TypeVar("R")
 
 
-def _counters() -> Ints:
-    """The `team` of one call of a function with loops, see `loops.ranges`."""
-    return np.zeros(FAILED + 1, np.int64)
-
-
 class Team:
     """The calling thread and `count` more threads. Each thread runs all submitted tasks in order. A task whose work is already done
     by other threads returns at once."""
 
     def __init__(self, count: int):
         self.count = count
-        self._next = _counters()  # of the work to come
+        self._next: Ints = np.zeros(FAILED + 1, np.int64)  # the `team` of the work to come, see `loops.ranges`
         self._begun = [SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]() for _ in range(count)]
         self._threads = [Thread(target=self._serve, args=(q, self._next), daemon=True) for q in self._begun]
         for thread in self._threads:
@@ -46,7 +41,7 @@ class Team:
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
         """Give the call work(team) to the other threads. Returns the team that the calling thread uses for its own call."""
-        team, self._next = self._next, _counters()
+        team, self._next = self._next, np.zeros_like(self._next)
         for queue in self._begun:
             queue.put((work, self._next))
         return team

@@ -151,34 +151,33 @@ def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:
 
 
 def _size(particle: Particle) -> str:
-    return f"a particle of {_um(max(particle.diameter, particle.width))}"
+    return f"a particle of {_um(particle.width)}"
 
 
 def _room(d: Derived) -> Iterator[Problem]:
     """Check that the target is large enough for each particle and its crater."""
-    scene = d.scene
-    substrate = scene.substrate
-    across = [(max(p.diameter, p.width) + 2 * p.diameter, p) for p in scene.particles]
+    scene, substrate = d.scene, d.scene.substrate
+    across = [(p.width + 2 * p.diameter, p) for p in scene.particles]
     deep = [(2 * p.diameter, p) for p in scene.particles]
     for name, extent, needs in (("diameter", substrate.diameter, across), ("height", substrate.height, deep)):
         least, particle = max(needs, key=lambda need: need[0])
         if extent < least * (1 - 1e-9):
             text = f"too small for {_size(particle)} and its crater; at least {_um(least)} is needed"
             yield _wrong(f"substrate.{name}", extent, "um", text, *_fields(scene, *_EXTENT))
-    widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
-    least = _LEAST_WINDOW * max(widest.diameter, widest.width)
+    widest = max(scene.particles, key=lambda p: p.width)
+    least = _LEAST_WINDOW * widest.width
     if substrate.window is not None and substrate.window < least * (1 - 1e-9):
         needed = f"at least {_um(least)} is needed, twice the diameter is recommended"
         text = f"smaller than the area that {_size(widest)} covers: {needed}"
         yield _wrong("substrate.window", substrate.window, "um", text, *_fields(scene, *_EXTENT))
     for where, particle in zip(scene.labels, scene.particles, strict=True):
-        D, gap = particle.diameter, d.gap_of(particle)
-        away = math.hypot(*particle.offset)
-        room = (substrate.diameter - D - max(D, particle.width)) / 2
+        D, gap, away = particle.diameter, d.gap_of(particle), math.hypot(*particle.offset)
+        placed = [f"{where}.{name}" for name in (*_EXTENT, "offset")]
+        room = (substrate.diameter - D - particle.width) / 2
         if away and away > room:
             reach = f"reach the target's edge; at most {_um(max(room, 0.0))} is possible"
             text = f"{where}.offset: at {_um(away)} from the axis, {_size(particle)} and its crater {reach}"
-            yield (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"), text
+            yield (*placed, "substrate.diameter"), text
         if gap > D:
             text = f"{where}.gap: larger than the diameter of {_size(particle)}: give a smaller gap"
             yield (f"{where}.gap", f"{where}.diameter"), text
@@ -190,8 +189,7 @@ def _room(d: Derived) -> Iterator[Problem]:
             )
             lands = f"lands {_um(landing)} from the axis, outside the target; at most {_um(max(room, 0.0))} is possible"
             text = f"{moves}, and {lands}: give a smaller gap or a wider target"
-            looked = *(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle")), "substrate.diameter"
-            yield _wrong(f"{where}.gap", gap, "um", text, *looked)
+            yield _wrong(f"{where}.gap", gap, "um", text, *placed, f"{where}.angle", "substrate.diameter")
         flight, limit = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
         if limit is not None and flight >= limit:
             over = f"the gap of {_um(gap)}, which takes {units.rounded(flight, 'ns')}"
@@ -301,11 +299,10 @@ def _resolution(d: Derived) -> Iterator[Problem]:
         joined = f", {splats:.3g} of them in {len(scene.particles) - 1} splats," if splats else ""
         offsets = _fields(scene, "offset") if len(scene.particles) > 1 else ()
         sizes = ("resolution.element_size", "splat.element_size", "substrate.diameter", "substrate.height")
-        needed = (
-            f"{d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about {memory / 1e9:.3g} GB"
-        )
-        text = f"resolution: {needed} of memory, but this machine has {there / 1e9:.3g} GB"
-        yield (*needs, *offsets, *sizes), f"{text}; give a larger spacing and element_size, or a coarser preset"
+        sought = f"{d.points:.3g} points and {d.elements + splats:.3g} elements{joined}"
+        text = f"{sought} need about {memory / 1e9:.3g} GB of memory, but this machine has {there / 1e9:.3g} GB"
+        give = "give a larger spacing and element_size, or a coarser preset"
+        yield (*needs, *offsets, *sizes), f"resolution: {text}; {give}"
 
 
 def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
@@ -362,9 +359,7 @@ def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -
             continue
         least = strength**2 / (2.0 * stiffness)
         if energy < least:
-            text = (
-                f"too small: the springs of a bond store {least:.3g} J/m2 at its strength of {text_of(strength, 'MPa')}:"
-                " increase it, set 0 (brittle bond), reduce the strength, or use a finer preset"
-            )
+            stored = f"the springs of a bond store {least:.3g} J/m2 at its strength of {text_of(strength, 'MPa')}"
+            give = "increase it, set 0 (brittle bond), reduce the strength, or use a finer preset"
             looked = f"adhesion.{prefix}strength", "resolution.spacing", "preset"
-            yield _wrong(f"adhesion.{prefix}energy", energy, "J/m2", text, *looked)
+            yield _wrong(f"adhesion.{prefix}energy", energy, "J/m2", f"too small: {stored}: {give}", *looked)

@@ -134,9 +134,8 @@ def _counts(table: Coating, fed: Sequence[Fed]) -> list[int]:
         more = range(table.number + table.layers, MOST_PARTICLES + 1, table.layers)
         enough = next((n for n in more if divided(n, each).all()), None)
         give = "a larger share" if enough is None else f"{enough} particles"
-        raise ValueError(
-            f"number = {table.number}: powder[{int(np.argmin(counts)) + 1}] has no particle, because its share is small: give {give}"
-        )
+        which = f"powder[{int(np.argmin(counts)) + 1}]"
+        raise ValueError(f"number = {table.number}: {which} has no particle, because its share is small: give {give}")
     return counts.tolist()
 
 
@@ -159,16 +158,14 @@ def particles(
         places: list[tuple[float, float]] = []  # of this pass
         for k, dwell in islice(left, count):
             places.append(_place(table, dice, places))
-            drawn.append(
-                _drawn(fed[k], places[-1], dice)
-                | ({"dwell": units.show(dwell, "us")} if dwell is not None else {})
-                | ({"angle": units.show(angle, "deg")} if angle else {})
-            )
+            drawn.append(_drawn(fed[k], places[-1], dwell, angle, dice))
     return drawn
 
 
-def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[str, object]:
-    """A random particle of a powder. place: x, y (m) of its centre."""
+def _drawn(
+    fed: Fed, place: tuple[float, float], dwell: float | None, angle: float, dice: random.Random
+) -> dict[str, object]:
+    """A random particle of a powder. place: x, y (m) of its centre; dwell (s), angle (rad): of its impact."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
     low = NormalDist().cdf(-_TRUNCATED)
@@ -195,6 +192,8 @@ def _drawn(fed: Fed, place: tuple[float, float], dice: random.Random) -> dict[st
         "pore_diameter": table.pore_diameter and units.show(table.pore_diameter, "um"),
         "pore_seed": int(2**31 * dice.random()) if pored else None,
         "core": table.core and {"material": table.core.material, "share": table.core.share},
+        "dwell": units.show(dwell, "us") if dwell is not None else None,
+        "angle": units.show(angle, "deg") if angle else None,
     }  # fmt: skip
     return {key: value for key, value in values.items() if value is not None}
 

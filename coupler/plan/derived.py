@@ -63,7 +63,7 @@ class Derived:
     def refined_radius(self) -> float:
         """Distance from the disc of radius `spread` within which the target has the smallest elements, m, for the widest particle."""
         least = estimates.REFINED_RADIUS_OVER_DIAMETER
-        return max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
+        return max(least * p.diameter + 0.5 * (p.width - p.diameter) for p in self.scene.particles)
 
     @property
     def element_size(self) -> float:
@@ -77,7 +77,7 @@ class Derived:
             return self.scene.substrate.window
         if len(self.scene.particles) < estimates.MANY:
             return math.inf
-        return estimates.WINDOW_OVER_DIAMETER * particle.diameter + 0.5 * max(particle.width - particle.diameter, 0.0)
+        return estimates.WINDOW_OVER_DIAMETER * particle.diameter + 0.5 * (particle.width - particle.diameter)
 
     @property
     def elements(self) -> int:
@@ -104,9 +104,10 @@ class Derived:
         if table["kind"] is None and table["criterion"] is None:
             found = [self._catalogue[0].get(p.material) for p in self.scene.particles]
             metals = [metal for metal in found if metal is None or not metal.is_ceramic]
-            known = bool(metals) and all(metal is None or metal.sigma_TS is not None for metal in metals)
-            known = known and not self.is_on_polymer
-            table |= {"kind": "tied", "criterion": "velocity"} if known else {"kind": "none"}
+            is_tied = (
+                bool(metals) and not self.is_on_polymer and all(m is None or m.sigma_TS is not None for m in metals)
+            )
+            table |= {"kind": "tied", "criterion": "velocity"} if is_tied else {"kind": "none"}
         return Adhesion(**table | {"kind": table["kind"] or "tied", "criterion": table["criterion"] or "all"})
 
     @property
@@ -172,7 +173,7 @@ class Derived:
         radius = coating.radius if coating else self.spread
         mass = sum(self.flying(p).rho * p.volume for p in particles) / len(particles)
         flux = spray.efficiency * spray.feed_rate / mass / (0.25 * math.pi * spray.spot**2)  # impacts, 1/(m2 s)
-        return 1.0 / (flux * math.pi * max(radius, 0.5 * max(p.width for p in particles)) ** 2)
+        return 1.0 / (flux * math.pi * max(radius, 0.5 * max(p.form.width(p.tilt) for p in particles)) ** 2)
 
     def dwell_of(self, particle: Particle) -> float:
         """Time (s) between the impact of a particle and the next impact. It is given in the scene or follows from the spray; the

@@ -57,11 +57,9 @@ def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tupl
     z[inside] = top
     if np.isinf(top).any():
         at = float(np.hypot(*places[np.isinf(z)].T).min())
-        raise InputError(
-            table.file,
-            f"has no height at {at * 1e6:.3g} um from its middle, but the substrate has a radius of {diameter * 5e5:.3g} um:"
-            " give a larger unit, a larger map without holes, or a smaller substrate.diameter",
-        )
+        lacks = f"has no height at {at * 1e6:.3g} um from its middle, but the substrate has a radius of {diameter * 5e5:.3g} um"
+        give = "give a larger unit, a larger map without holes, or a smaller substrate.diameter"
+        raise InputError(table.file, f"{lacks}: {give}")
     from scipy.ndimage import gaussian_filter  # its import takes longer than all others of a plan
 
     shares = gaussian_filter(inside.astype(float), 1.0)  # of the places of the disc in each average

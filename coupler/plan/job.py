@@ -14,6 +14,7 @@ from ..files.inputs import SCENE_LIMIT, leaves, read_text, toml_of
 from ..measures import STICKS
 from ..physics import materials
 from ..physics.materials import Material
+from ..physics.shapes import sphere_volume
 from ..scene.coating import MOST_PARTICLES
 from ..scene.job import JobData, Powder
 from ..scene.messages import in_words
@@ -195,7 +196,7 @@ class Job:
                 "temperature": f"{self.data.substrate.temperature:.6g} K",
             },
             "adhesion": {"kind": "cohesive", "criterion": "exposure"},
-            "resolution": {"spacing": _um(cost.spacing(math.pi / 6.0 * D**3, points))}, "materials": tables,
+            "resolution": {"spacing": _um(cost.spacing(sphere_volume(D), points))}, "materials": tables,
         }, f"{self.name}_on_{base}")  # fmt: skip
 
     def check(self) -> None:
@@ -211,13 +212,10 @@ class Job:
         """The scene of a coating. Its particles are those that stay (`stays`); metal particles are tied to the surface, ceramic ones
         are not. Names of files are relative to the folder of the job. Raises SceneError."""
         ranges, body = self.middle(part.points), self.data.substrate
-        smallest, largest = (end(each[k] for each in ranges.values()) for end, k in ((min, 0), (max, 2)))
+        smallest, largest = min(low for low, _, _ in ranges.values()), max(high for _, _, high in ranges.values())
         median = max(self.medians.values())
         radius = part.disc * math.sqrt(sum(n * self.medians[name] ** 2 for name, n in self.by_number.items()))
-        spacing = min(
-            cost.spacing(math.pi / 6.0 * largest**3, part.points),
-            cost.spacing(math.pi / 6.0 * smallest**3, self.room),
-        )
+        spacing = min(cost.spacing(sphere_volume(D), n) for D, n in ((largest, part.points), (smallest, self.room)))
         height = max(3.0 * median, 21.0 * body.roughness) + sum(layer.thickness for layer in body.layer)
         powders = [self._drawn(name, *ranges[name]) for name in self.stays]
         names = [*(name for each in self.stays for name in self.powders[each].table.materials), *body.materials]

@@ -63,14 +63,11 @@ def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], li
     rate, reach = spot.across(away), units.rounded(spot.reach, "mm")
     if rate.max() < _LEAST * float(spot.across(0.0)):
         field, nearest = "step" if path.first is None else "first", units.rounded(float(away.min()), "mm")
-        raise ValueError(
-            f"{field}: the nearest line is {nearest} from the coated area, beyond the spot of radius {reach}: move it closer"
-        )
+        text = f"the nearest line is {nearest} from the coated area, beyond the spot of radius {reach}: move it closer"
+        raise ValueError(f"{field}: {text}")
     if path.length < _ROOM * spot.reach:
-        least = units.rounded(_ROOM * spot.reach, "mm")
-        raise ValueError(
-            f"length = {length}: the spot does not leave the coated area between passes: give at least {least}"
-        )
+        text = f"the spot does not leave the coated area between passes: give at least {units.rounded(_ROOM * spot.reach, 'mm')}"
+        raise ValueError(f"length = {length}: {text}")
     counts = divided(number, rate)
     times = [
         (layer * len(away) + k) * path.time_between_passes + y / path.traverse_speed

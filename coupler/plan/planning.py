@@ -35,15 +35,12 @@ COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
     """Make the plan of a checked scene. contact_stiffness: factor on the penalty stiffness, None: chosen from the adhesion; error:
     whether coarser runs measure the error. Raises SceneError for an unknown material."""
-    target = _target(scene)
-    normals = [
-        target.normal(each.offset, 0.5 * each.diameter, _velocity(each), scene.derived.gap_of(each))
-        for each in scene.particles
-    ]
+    target, d = _target(scene), scene.derived
+    normals = [target.normal(p.offset, 0.5 * p.diameter, _velocity(p), d.gap_of(p)) for p in scene.particles]
     impacts = tuple(_impact(scene, i, normals) for i in range(len(scene.particles)))
     solids = {name: load(Path(name)) for name in dict.fromkeys(i.file for i in impacts if i.file)}
-    base = scene.derived.material(scene.substrate.materials[0])
-    usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
+    base = d.material(scene.substrate.materials[0])
+    usual = [d.end_time_of(particle) for particle in scene.particles]
     numbers = [  # waves and heat of an impact also travel during later impacts
         effects.numbers(scene, impact, base, absorbing_distance(scene, impact.offset), usual[i], sum(usual[i:]))
         for i, impact in enumerate(impacts)
@@ -53,7 +50,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     if not decided.absorbing_boundaries:  # no wave comes back in time: simple faces give the same result at lower cost
         sides: Face = "free" if target.sides == "absorbing" else target.sides
         target = replace(target, sides=sides, bottom="fixed" if target.bottom == "absorbing" else target.bottom)
-    adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
+    adhesion = d.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
         impacts=impacts,
@@ -61,7 +58,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         target=target,
         adhesion=adhesion,
         splat_method=scene.splat.method,
-        splat_element_size=scene.derived.splat_element_size,
+        splat_element_size=d.splat_element_size,
         mass_scaling=float(scene.splat.mass_scaling),
         friction=scene.contact.friction if decided.friction else 0.0,
         contact_stiffness=contact_stiffness or (BONDED_STIFFNESS if adhesion.in_impact else CONTACT_STIFFNESS),
@@ -71,9 +68,9 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),
         warnings=tuple(remarks(scene, impacts, base, decided)),
-        ambient=scene.derived.ambient,
+        ambient=d.ambient,
         cooling_time=scene.end.cooling_time,
-        surface_heat=scene.derived.surface_heat,
+        surface_heat=d.surface_heat,
         spray=_spray(scene),
         companions=companions(scene) if error else (),
         solids={name: SolidPlan(each.points.tolist(), each.triangles.tolist()) for name, each in solids.items()},
@@ -169,12 +166,10 @@ def _spray(scene: Scene) -> str:
     share = f", {spray.efficiency:.0%} of it" if spray.efficiency < 1.0 else ""
     whence = "" if scene.spray else "usual conditions: "
     stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
-    time_of_pass = 0.25 * math.pi * spray.spot / spray.traverse_speed  # mean over the chords of the spot
-    impacts = time_of_pass / d.time_between
+    impacts = 0.25 * math.pi * spray.spot / spray.traverse_speed / d.time_between  # mean over the chords of the spot
     passes = f"{spray.passes} passes in a layer; under the spot " if spray.passes else ""
-    return (
-        f"{passes}time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
-    )
+    time = f"{passes}time between impacts {show(d.time_between, 'ms')}"
+    return f"{time} ({whence}{stream}: {impacts:.2g} impacts in a pass)"
 
 
 def _target(scene: Scene) -> TargetPlan:

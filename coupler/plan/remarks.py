@@ -33,10 +33,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         yield f"the smallest or thinnest particle sets the spacing: the largest has {points}"
     shortest = max(CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
-        yield (
-            f"output.every = {units.rounded(scene.output.every, 'ns')} is less than {CHUNK} time steps, some"
-            f" {units.rounded(shortest, 'ns')}: fields are written every {CHUNK} time steps"
-        )
+        less = f"{units.rounded(scene.output.every, 'ns')} is less than {CHUNK} time steps, some {units.rounded(shortest, 'ns')}"
+        yield f"output.every = {less}: fields are written every {CHUNK} time steps"
     if scene.derived.element_size < scene.derived.spacing:
         yield "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"
     hot: dict[str, list[tuple[str, float]]] = {}  # particles and their temperatures (K), by metal
@@ -63,10 +61,9 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
             yield f"{len(impacts)} particles on a disc of {heap}, {text}"
     walls = [0.5 * (1.0 - i.core.share ** (1.0 / 3.0)) * i.diameter for i in impacts if i.core is not None]
     if len(impacts) > 1 and walls and min(walls) < (size := scene.derived.splat_element_size):
-        yield (
-            f"the elements of a splat, {units.rounded(size, 'um')}, are larger than the shell of {units.rounded(min(walls), 'um')}: the"
-            " surface of its core is jagged; give a finer preset, or a smaller splat.element_size"
-        )
+        larger = f"{units.rounded(size, 'um')}, are larger than the shell of {units.rounded(min(walls), 'um')}"
+        jagged = "the surface of its core is jagged; give a finer preset, or a smaller splat.element_size"
+        yield f"the elements of a splat, {larger}: {jagged}"
     for name in sorted({m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if m.is_ceramic}):
         yield (
             f"{name} is a ceramic: it makes no metallic bond without a law in [[adhesion.pair]]; its particles embed or rebound."
@@ -77,10 +74,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     without = [i.material.name for i in impacts if i.material.sigma_TS is None and not i.material.is_ceramic]
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without and not base.is_polymer:
         name = without[0]
-        yield (
-            f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; give sigma_TS under"
-            f' [materials.{name}], or adhesion.kind ("none" if it shall not bond)'
-        )
+        give = f'give sigma_TS under [materials.{name}], or adhesion.kind ("none" if it shall not bond)'
+        yield f"the critical velocity of {name} is not known (no sigma_TS), so that the particle does not bond; {give}"
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
         yield (

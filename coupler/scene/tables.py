@@ -12,7 +12,6 @@ from .values import DIAMETER, DWELL, PORE_DIAMETER, POROSITY, VELOCITY, Quantity
 MASS_SCALING = 0.05  # of the next particle's mass, by which short elements may be heavier (`fe.inertia`)
 GROWTH = 0.35  # element size gained per unit of distance outside the refined part of the target
 
-
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
 Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # the shapes of coupler.physics.shapes
 
@@ -105,8 +104,8 @@ class Particle(Section):
 
     @property
     def width(self) -> float:
-        """Larger of the two extents of the particle parallel to the target, m."""
-        return self.form.width(self.tilt)
+        """Larger of the two extents parallel to the target, m, at least the diameter of the sphere of equal volume."""
+        return max(self.diameter, self.form.width(self.tilt))
 
     @property
     def height(self) -> float:

@@ -139,10 +139,8 @@ def fly_together(
         solved = solve_ivp(slope, (start, stop), y, "LSODA", xs, rtol=1e-8, atol=atol, lband=2, uband=2)
         if not solved.success or not np.isfinite(solved.y).all():
             which = " to ".join(f"{size * 1e6:.3g}" for size in sorted({D.min(), D.max()}))
-            raise ColdsprayError(
-                f"cannot integrate the flight of particles of {which} um between x = {start * 1e3:.3g} and {stop * 1e3:.3g} mm:"
-                " check diameters, metal and gas"
-            )
+            where = f"of particles of {which} um between x = {start * 1e3:.3g} and {stop * 1e3:.3g} mm"
+            raise ColdsprayError(f"cannot integrate the flight {where}: check diameters, metal and gas")
         u, T_gas, _ = np.transpose([state(float(x)) for x in xs])
         columns.append(np.vstack([xs, u, T_gas, solved.y]))
         y = solved.y[:, -1]

@@ -139,15 +139,12 @@ class Flow:
 
     def __post_init__(self) -> None:
         if self.p0 < (1 - 1e-12) * self.least_pressure:
-            raise ColdsprayError(
-                f"pressure = {self.p0 / 1e5:.4g} bar: too low for nozzle {self.nozzle.name}, because a shock would stand in"
-                f" it: give at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
-            )
+            why = f"too low for nozzle {self.nozzle.name}, because a shock would stand in it"
+            least = f"give at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
+            raise ColdsprayError(f"pressure = {self.p0 / 1e5:.4g} bar: {why}: {least}")
         if self.layer > 0.9 * self.standoff:
-            raise ColdsprayError(
-                f"standoff = {self.standoff * 1e3:.3g} mm: too short for the bow shock,"
-                f" which stands {self.layer * 1e3:.3g} mm before the target: increase standoff"
-            )
+            shock = f"the bow shock, which stands {self.layer * 1e3:.3g} mm before the target"
+            raise ColdsprayError(f"standoff = {self.standoff * 1e3:.3g} mm: too short for {shock}: increase standoff")
 
     @cached_property
     def exit_mach(self) -> float:

@@ -13,6 +13,7 @@ from ..physics.materials import Material
 from .flight import Flight
 from .sizes import Sizes
 
+Fly = Callable[[Sequence[float]], list[Flight]]  # flights of particles of these diameters, m
 ERODES = "erodes"  # in addition to the verdicts
 OPTIMAL, EROSION = 1.5, 2.0  # velocity over critical velocity: of good coatings, and the limit of erosion
 FASTEST = 10.0  # limit of velocity over critical velocity
@@ -71,11 +72,7 @@ class Spray:
 
 
 def spray(
-    material: Material,
-    base: Material | None,
-    sizes: Sizes,
-    fly: Callable[[Sequence[float]], list[Flight]],
-    keys: tuple[str, str] = ("powder.material", "substrate.material"),
+    material: Material, base: Material | None, sizes: Sizes, fly: Fly, keys: tuple[str, str] = ("powder", "substrate")
 ) -> Spray:
     """A powder of a metal at impact. Arguments as in `at_impact`; keys: of the two materials, for messages.
 
@@ -86,17 +83,13 @@ def spray(
     except ColdsprayError as error:
         raise ColdsprayError(f"{keys[0]}: {error}") from None
     if base is not None and (base.is_ceramic or base.is_polymer):
-        kind = "ceramic" if base.is_ceramic else "polymer"
-        raise ColdsprayError(
-            f"{keys[1]}: {base.name} is a {kind}: no metallic bond forms on it, so that there is no deposition window; compute an"
-            " impact on it with coldspray run"
-        )
+        why = f"{base.name} is a {'ceramic' if base.is_ceramic else 'polymer'}: no metallic bond forms on it"
+        remedy = "compute an impact on it with coldspray run"
+        raise ColdsprayError(f"{keys[1]}: {why}, so that there is no deposition window; {remedy}")
     return at_impact(material, base, sizes, fly)
 
 
-def at_impact(
-    material: Material, base: Material | None, sizes: Sizes, fly: Callable[[Sequence[float]], list[Flight]]
-) -> Spray:
+def at_impact(material: Material, base: Material | None, sizes: Sizes, fly: Fly) -> Spray:
     """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
     (m). A ceramic has no critical velocity (NaN), and nothing of it sticks. Raises ColdsprayError if a flight cannot be computed."""
     share = (np.arange(CLASSES) + 0.5) / CLASSES
