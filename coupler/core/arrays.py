@@ -38,11 +38,7 @@ class Links(NamedTuple):
     @classmethod
     def of(cls, nodes: Ints, triangles: Ints, weights: Floats, strength: Floats) -> "Links":
         """Links between nodes (k,) and points on triangles (k,3). weights (k,3): barycentric coordinates of the points."""
-        return cls(
-            np.concatenate([nodes[:, None], triangles], axis=1),
-            np.concatenate([np.ones((len(nodes), 1)), -weights], axis=1),
-            strength,
-        )
+        return cls(np.column_stack([nodes, triangles]), np.column_stack([np.ones(len(nodes)), -weights]), strength)
 
     @classmethod
     def joined(cls, parts: Sequence["Links"]) -> "Links":

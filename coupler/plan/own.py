@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..files.inputs import InputError, read_toml, similar
-from ..scene.model import SceneData
 
 KINDS = ("materials", "nozzles")
 
@@ -32,10 +31,3 @@ def with_library(raw: dict[str, object], source: str) -> list[str]:
                 problems.append(f"{kind}: expected tables, such as [{kind}.Mine]")
         raw[kind] = merged
     return problems
-
-
-def named(scene: SceneData) -> set[str]:
-    """The metals and the nozzle that a scene names."""
-    names = {*scene.substrate.materials, *(name for each in scene.particles for name in each.materials)}
-    names |= {name for pair in scene.adhesion.pair or () for name in pair.metals}
-    return names | ({scene.gas.nozzle} if scene.gas else set())

@@ -38,27 +38,23 @@ def sizes_in(table: Table) -> Sizes:
     (_CUMULATIVE) or if it rises to 100. Diameters are in µm, or in the unit of their column. Raises ValueError with the problem of the
     table.
     """
-    size, share = _column(table, _SIZE), _column(table, _CUMULATIVE) or _column(table, _SHARE)
-
-    names = list(table.columns)
-    size = size or names[0]
+    names, share = list(table.columns), _column(table, _CUMULATIVE) or _column(table, _SHARE)
+    size = _column(table, _SIZE) or names[0]
     share = share if share and share != size else next((name for name in names if name != size), "")
     if not share:
         raise ValueError("the file needs a column with sizes and a column with volume fractions")
     if "number" in share.lower() and "vol" not in share.lower():
         raise ValueError(f"column {share!r} has numbers of particles: give a file with volume fractions")
-    unit = table.units.get(size, "um").replace("µ", "u").replace("μ", "u")
     try:
-        scale = units.parse(f"1 {unit}", "length")
+        scale = units.parse(f"1 {table.units.get(size, 'um')}", "length")
     except units.UnitError as error:
         raise ValueError(f"column {size!r} {error}") from None
     D, y = scale * table.columns[size], table.columns[share]
     order = np.argsort(D)
     D, y = D[order], y[order]
     if len(D) < 2 or not (np.diff(D) > 0.0).all() or D[0] < 0.0 or not (y >= 0.0).all():
-        raise ValueError(
-            f"columns {size!r} and {share!r} need two or more different sizes, and fractions of zero or more"
-        )
+        needed = "need two or more different sizes, and fractions of zero or more"
+        raise ValueError(f"columns {size!r} and {share!r} {needed}")
     rises = bool(np.all(np.diff(y) >= 0.0)) and 99.0 <= y[-1] <= 101.0
     if rises or any(word in share.lower() for word in _CUMULATIVE):
         return Sizes.of_classes([0.0, *D.tolist()], [float(y[0]), *np.diff(y).tolist()])

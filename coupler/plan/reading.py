@@ -23,7 +23,7 @@ from .check import problems_of
 from .coating import STAND_IN, expand
 from .derived import Derived
 from .gas import fill
-from .own import KINDS, named, with_library
+from .own import KINDS, with_library
 from .solids import read_forms, with_folders
 
 MOST_ALIKE = 3  # reported problems of particles that differ only in numbers
@@ -156,7 +156,11 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
                 problems.append(problem)
     if problems or read is None:
         raise SceneError(_brief(problems), source)
-    own |= named(read)  # the scene does not include unused tables of its library
+    # the scene does not include unused tables of its library
+    own |= {*read.substrate.materials, *(name for each in read.particles for name in each.materials)}
+    own |= {name for pair in read.adhesion.pair or () for name in pair.metals} | (
+        {read.gas.nozzle} if read.gas else set()
+    )
     read = read.model_copy(
         update={kind: {name: table for name, table in dict(read)[kind].items() if name in own} for kind in KINDS}
     )

@@ -7,7 +7,6 @@ from .. import units
 from ..physics.materials import Material, fitted_at
 from ..scene.effects import Effects
 from . import cost, effects
-from .cost import CHUNK
 from .model import ImpactPlan
 from .reading import Scene
 
@@ -31,10 +30,10 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points instead of {usual}"
         yield f"the smallest or thinnest particle sets the spacing: the largest has {points}"
-    shortest = max(CHUNK * i.dt_expected for i in impacts)
+    shortest = max(cost.CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
-        less = f"{units.rounded(scene.output.every, 'ns')} is less than {CHUNK} time steps, some {units.rounded(shortest, 'ns')}"
-        yield f"output.every = {less}: fields are written every {CHUNK} time steps"
+        less = f"{units.rounded(scene.output.every, 'ns')} is less than {cost.CHUNK} time steps, some {units.rounded(shortest, 'ns')}"
+        yield f"output.every = {less}: fields are written every {cost.CHUNK} time steps"
     if scene.derived.element_size < scene.derived.spacing:
         yield "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"
     hot: dict[str, list[tuple[str, float]]] = {}  # particles and their temperatures (K), by metal

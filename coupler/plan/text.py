@@ -6,7 +6,6 @@ from textwrap import fill
 
 from .. import units
 from . import cost as estimates
-from .cost import forecast
 from .model import ImpactPlan, Plan, TargetPlan
 from .remarks import BEYOND_FIT
 
@@ -19,7 +18,7 @@ _MOST_SHAPES = 3
 def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
     """The plan as text of some 50 lines of up to 120 columns. here: lines about time and accuracy on this machine, instead of the
     plan's estimate; brief: within 30 lines, without the reasons for the effects."""
-    target, show, expected = plan.target, units.rounded, forecast(plan)
+    target, show, expected = plan.target, units.rounded, estimates.forecast(plan)
     dt = min(impact.dt_expected for impact in plan.impacts)
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
