@@ -15,7 +15,7 @@ from pages import impact_tables, machine, options, reference, spacing_of
 from serial_share import Spent
 from study_table import study
 
-from coupler.core.cores import cores
+from coupler.core.process import cores
 from coupler.core.threads import threads_of
 from coupler.fe import mesh
 from coupler.fe.explicit import Target

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ..core.cores import cores
+from ..core.process import cores
 from ..errors import ColdsprayError, SceneError
 from ..files.inputs import last_lines, reading
 from ..files.result import HISTORY, Result

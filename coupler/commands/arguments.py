@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from ..core.cores import cores
+from ..core.process import cores
 from ..errors import ColdsprayError, StoreError
 from ..files.outputs import claim_folder, keep_toml
 from ..units import UnitError, parse

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from .. import __version__
-from ..core.cycles import search_cycles_less
-from ..core.signals import interrupted_by
+from ..core.process import interrupted_by, search_cycles_less
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest

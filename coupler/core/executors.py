@@ -19,7 +19,7 @@ from typing import Any
 
 from ..errors import ColdsprayError
 from ..units import nearest
-from .cycles import search_cycles_less
+from .process import search_cycles_less
 
 KINDS = ("processes", "mpi", "slurm")
 # option of a Slurm job -> default value; sbatch receives all other options

@@ -19,8 +19,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .arrays import Ints
-from .cores import cores
 from .loops import FAILED, wait_for
+from .process import cores
 
 RANGES = 4  # of a loop in Python, for each thread, at most
 LEAST_ROWS = 4000  # in a range of `rows_at`, at least

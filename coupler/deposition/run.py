@@ -9,8 +9,7 @@ from threading import Thread
 from typing import Any
 
 from .. import __version__, report
-from ..core.cores import cores
-from ..core.signals import interrupted_by
+from ..core.process import cores, interrupted_by
 from ..core.threads import threads_of
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from ..core.signals import handled
+from ..core.process import handled
 
 
 class Stopped(KeyboardInterrupt):

@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from ..core.cores import cores
 from ..core.executors import executor, own_environment
+from ..core.process import cores
 from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, parse_toml, read_json_object, read_text, read_toml
 from ..files.outputs import claim_folder, write_text
