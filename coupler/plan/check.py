@@ -146,7 +146,6 @@ def _core(d: Derived, where: str, particle: Particle) -> Iterator[Problem]:
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:
-    """Names of a field of all particles, for messages."""
     return tuple(f"{label}.{name}" for label in scene.labels for name in names)
 
 

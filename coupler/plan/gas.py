@@ -43,11 +43,8 @@ def flights(conditions: GasConditions, flow: Flow, metal: Material, diameters: S
 
 
 @cache
-def _flights(
-    conditions: GasConditions, nozzle: Nozzle, material: Material, diameters: tuple[float, ...]
-) -> dict[float, Flight]:
-    """Flights of particles by their diameter, m."""
-    return dict(zip(diameters, flights(conditions, flow(conditions, nozzle), material, diameters), strict=True))
+def _flights(conditions: GasConditions, nozzle: Nozzle, metal: Material, D: tuple[float, ...]) -> dict[float, Flight]:
+    return dict(zip(D, flights(conditions, flow(conditions, nozzle), metal, D), strict=True))
 
 
 def arrival(
@@ -115,9 +112,8 @@ def describe(scene: SceneData) -> list[str]:
     head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away:"
     gives = list(dict.fromkeys(_gives(scene, c, nozzle, particle) for particle in scene.particles))
     more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
-    lines = [head, *(f"{_INDENT}{text}" for text in [*gives[:_MOST_LINES], *more])]
-    if len(scene.particles) == 1:
-        lines = [f"{head} {gives[0]}"]
+    lines = [head, *(_INDENT + text for text in [*gives[:_MOST_LINES], *more])]
+    lines = [f"{head} {gives[0]}"] if len(scene.particles) == 1 else lines
     shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
     notes = flow(c, nozzle).notes
     if shapes:

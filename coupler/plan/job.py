@@ -170,11 +170,10 @@ class Job:
     @cached_property
     def hits(self) -> tuple[tuple[str, str], ...]:
         """Each metal powder with the name of a metal that it hits: of the substrate, then its own."""
+        metals = (powder for powder in self.powders.values() if not powder.metal.is_ceramic)
         return tuple(
-            (name, base)
-            for name, powder in self.powders.items() if not powder.metal.is_ceramic
-            for base in dict.fromkeys((self.surface, powder.table.material))
-        )  # fmt: skip
+            (each.name, base) for each in metals for base in dict.fromkeys((self.surface, each.table.material))
+        )
 
     def scene_on(self, powder: str, base: str, points: int, strength: str = "") -> Scene:
         """The scene of one impact with computed bonds: a particle of median size, with its velocity and temperature from the gas, at

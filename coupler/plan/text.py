@@ -116,12 +116,10 @@ def _impacts(plan: Plan, most: int) -> list[str]:
 
 
 def _particle(impact: ImpactPlan) -> str:
-    show, speed = units.rounded, math.hypot(*impact.velocity)
-    return (
-        f"{impact.material.name} {_shape(impact)} {show(impact.diameter, 'um')},"
-        f" {show(speed, 'm/s', 4)} at {show(impact.angle, 'deg')} from the normal,"
-        f" {show(impact.temperature, 'K', 4)}"
-    )
+    show = units.rounded
+    flies = f"{show(math.hypot(*impact.velocity), 'm/s', 4)} at {show(impact.angle, 'deg')} from the normal"
+    sort = f"{impact.material.name} {_shape(impact)} {show(impact.diameter, 'um')}"
+    return f"{sort}, {flies}, {show(impact.temperature, 'K', 4)}"
 
 
 def _shape(impact: ImpactPlan) -> str:
@@ -185,7 +183,6 @@ def _range(values: list[float], unit: str = "ns") -> str:
 
 
 def _shapes(plan: Plan) -> list[str]:
-    """Lines about shapes other than spheres, at most _MOST_SHAPES."""
     lines = []
     for particle in (impact for impact in plan.impacts if impact.shape != "sphere"):
         lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)

@@ -84,7 +84,6 @@ class DistributedParticle:
         return whole
 
     def _all(self, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Arrays of all points (n, ...), by name."""
         return {name: self._joined([part[name] for part in parts]) for name in parts[0]}
 
     def _sum_up(self) -> PointTotals:

@@ -167,7 +167,6 @@ def _inline(table: Section) -> str:
 
 
 def _written(table: Section, field: str, value: Any) -> str:
-    """A value as text in a scene, in the unit of its field."""
     kind = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize | Quantity)), None)
     if isinstance(kind, BySize):
         pairs = [[units.show(size, "um"), units.show(number, kind.of.unit)] for size, number in value]
