@@ -105,8 +105,7 @@ def _mpi() -> Executor:
     if MPI.COMM_WORLD.Get_size() < 2:
         start = "mpiexec -n N python -m mpi4py.futures -m coupler sweep ... --executor mpi"
         raise ColdsprayError(f"the executor mpi needs two ranks or more: {start}")
-    pool: Executor = MPIPoolExecutor(main=False)
-    return pool
+    return MPIPoolExecutor(main=False)
 
 
 def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:

@@ -9,7 +9,7 @@ and checkpoints contain it. `copied` and `put` save and restore all fields, also
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, Self, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -17,16 +17,15 @@ from numpy.typing import DTypeLike
 from ..errors import CheckpointError
 
 R = TypeVar("R")
-S = TypeVar("S", bound="Sums")
 
 
 class Sums:
     """Base class of records whose fields are sums over time. Two such records can be added and subtracted, field by field."""
 
-    def __add__(self: S, other: S) -> S:
+    def __add__(self, other: Self) -> Self:
         return type(self)(*(vars(self)[name] + value for name, value in vars(other).items()))
 
-    def __sub__(self: S, other: S) -> S:
+    def __sub__(self, other: Self) -> Self:
         return type(self)(*(vars(self)[name] - value for name, value in vars(other).items()))
 
 

@@ -69,11 +69,9 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
     if table is None:
         raw.setdefault("particle", [dict(STAND_IN)])
         return []
-    there = raw.get("particle")
-    if there is not None:
-        if not isinstance(there, list) or len(there) != table.number:
-            return ["coating: the scene has both [coating] and particles: remove one of them"]
-        return []
+    if (there := raw.get("particle")) is not None:
+        fits = isinstance(there, list) and len(there) == table.number
+        return [] if fits else ["coating: the scene has both [coating] and particles: remove one of them"]
     fed, problems = list[Fed](), list[str]()
     for i, powder in enumerate(table.powders, 1):
         try:
@@ -105,8 +103,7 @@ def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -
             raise ValueError(f'{key} = "{name[:40]}": {unknown(name[:40], catalogue)}')
     if powder.files and not files:
         raise ValueError(f'files = "{powder.files[:60]}": no file in {folder} matches this pattern')
-    shell = catalogue[powder.material]
-    rho = shell.rho
+    shell, rho = catalogue[powder.material], catalogue[powder.material].rho
     if powder.core is not None:
         core = catalogue[powder.core.material]
         rho = mixed(shell, core, powder.core.share_by_volume(1.0, shell.rho, core.rho)).rho

@@ -71,9 +71,8 @@ def in_words(entry: ErrorDetails, several: bool, whole: type[BaseModel] = SceneD
     of the file."""
     kind, loc = entry["type"], entry["loc"]
     field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
-    model = _model_at(loc[:-1], whole)
     if kind == "extra_forbidden":
-        known = [info.alias or name for name, info in model.model_fields.items()]
+        known = [info.alias or name for name, info in _model_at(loc[:-1], whole).model_fields.items()]
         return f"{field}: unknown key{units.nearest(str(loc[-1]), known)}; known: {', '.join(known)}"
     if "offset" in loc and kind != "value_error":
         where = dotted(loc[: loc.index("offset") + 1], several)
