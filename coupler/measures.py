@@ -88,9 +88,8 @@ class Measure:
         if self.low <= value <= self.high:
             return None
         side, limit = ("below", self.low) if value < self.low else ("above", self.high)
-        return (
-            f"{value * self.factor:.4g} is {side} {limit * self.factor:.4g} {self.unit}".rstrip() + f": {self.beyond}"
-        )
+        text = f"{value * self.factor:.4g} is {side} {limit * self.factor:.4g} {self.unit}"
+        return f"{text.rstrip()}: {self.beyond}"
 
     def remark(self, value: float) -> str | None:
         """The meaning of a valid but unusual value; None if the value is usual."""
@@ -103,8 +102,7 @@ _STRAIN = "such a plastic strain is too large for the SPH scheme"
 TABLE = (
     Measure("time_s", "time", SHAPE),
     Measure(
-        "flattening_ratio", "flattening above the surface", SHAPE, "flattening above"
-        " surface", converges=True, expected=(0.0, 1.0),
+        "flattening_ratio", "flattening above the surface", SHAPE, "flattening above surface", converges=True, expected=(0.0, 1.0),
         unusual=(
             "the top is higher than the particle's diameter: the particle stands upright or has left the target",
             "the top lies below the surface: the particle is embedded",

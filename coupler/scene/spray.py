@@ -6,6 +6,8 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationInfo, 
 
 from .values import Quantity, Section
 
+_GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
+
 
 class GasConditions(Section):
     """Gas and nozzle of the spray. They give the velocity and temperature of particles for which the scene has no values. SI units.
@@ -24,6 +26,11 @@ class GasConditions(Section):
     powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
     bow_shock: StrictBool = False
     drag: Literal["henderson", "carlson-hoglund"] = "henderson"
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _by_any_name(cls, value: object) -> object:
+        return _GASES.get(value.lower(), value) if isinstance(value, str) else value
 
 
 class GunPath(Section):

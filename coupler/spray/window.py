@@ -64,9 +64,8 @@ class Spray:
         """Two factors on the critical velocity, between 1 - within and 1 + within, that give the least and the greatest deposition
         efficiency. Because of erosion, a lower critical velocity can decrease the efficiency. If several factors give the same
         efficiency, the one nearest to 1 counts."""
-        factors = sorted(
-            (1.0, *(1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1))), key=lambda f: abs(f - 1.0)
-        )
+        steps = within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1)
+        factors = sorted((1.0, *(1.0 + steps)), key=lambda f: abs(f - 1.0))
         each = [self.fates(factor)[STICKS] for factor in factors]
         return factors[int(np.argmin(each))], factors[int(np.argmax(each))]
 

@@ -118,7 +118,7 @@ def test_a_reader_that_goes_away_is_no_error():
     assert done.returncode in (0, 141)
 
 
-GAS = "gas --pressure '40 bar' --temperature '800 C' --nozzle D42PBI --gas He --diameter '25 µm'"
+GAS = "gas --pressure '40 bar' --temperature '800 C' --nozzle D42PBI --gas helium --diameter '25 µm'"
 
 
 @pytest.mark.parametrize(
