@@ -13,12 +13,13 @@ import numpy as np
 
 from ..errors import SolverError, SplatError
 from .tetrahedra import COARSEST, boundary_faces, oriented
+from .triangles import compact
 
-HXT, DELAUNAY = 10, 1
+ALGORITHMS = {"HXT": 10, "Delaunay": 1}
 
 
-def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit of the model.
+def build(model: Callable[[ModuleType], None], algorithm: str = "HXT") -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit of the model. algorithm: in ALGORITHMS.
 
     The model sets the element size; curvature and points do not change it. Raises SolverError if gmsh makes no element, and all errors
     of gmsh.
@@ -32,7 +33,7 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
         gmsh.model.add("solid")
         for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
             gmsh.option.setNumber(f"Mesh.{option}", 0)
-        gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
+        gmsh.option.setNumber("Mesh.Algorithm3D", ALGORITHMS[algorithm])
         gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers, which would limit dt
         model(gmsh)
         gmsh.model.mesh.generate(3)
@@ -47,10 +48,8 @@ def build(model: Callable[[ModuleType], None], algorithm: int = HXT) -> tuple[np
         raise SolverError("gmsh made no tetrahedra: choose smaller elements or a larger substrate")
     lookup = np.zeros(int(tags.max()) + 1, np.int64)
     lookup[tags.astype(np.int64)] = np.arange(len(tags))
-    tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
-    points = coords.reshape(-1, 3)
-    used, tets = np.unique(tets, return_inverse=True)  # without points of the geometry that have no element
-    return points[used], tets.reshape(-1, 4)
+    # without points of the geometry that have no element
+    return compact(coords.reshape(-1, 3), lookup[nodes.astype(np.int64)].reshape(-1, 4))
 
 
 def _equal(gmsh: ModuleType) -> None:
@@ -96,11 +95,10 @@ def cylinder(
     points, tets = build(model)
     if top is None:
         return points * unit, tets
-    used, faces = np.unique(boundary_faces(tets)[0], return_inverse=True)
-    shell = points[used] * unit
+    shell, faces = compact(points * unit, boundary_faces(tets)[0])
     shell[:, 2] += top(shell[:, :2]) * (1.0 + shell[:, 2] / height)
     level = float(top(np.array([centre]))[0])
-    return fill([(shell, faces.reshape(-1, 3))], size, sizes=lambda gmsh: sized(gmsh, level))
+    return fill([(shell, faces)], size, sizes=lambda gmsh: sized(gmsh, level))
 
 
 def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +114,7 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
 
 
 def fill(
-    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT,
+    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: str = "HXT",
     sizes: Callable[[ModuleType], None] = _equal,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces, which do not change.

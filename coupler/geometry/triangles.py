@@ -77,22 +77,17 @@ def shells(surface: Surface, smallest: float = 0.0) -> list[Surface]:
     cavity has a negative volume and comes last."""
     vertices, triangles = surface
     count, label = connected_parts(np.concatenate([triangles[:, :2], triangles[:, 1:]]), len(vertices))
-    parts = []
-    for component in range(count):
-        own = triangles[label[triangles[:, 0]] == component]
-        if len(own) == 0:
-            continue
-        part = compact(vertices, own)
-        if abs(enclosed_volume(*part)) >= smallest:
-            parts.append(part)
-    return sorted(parts, key=lambda part: -enclosed_volume(*part))
+    each = (triangles[label[triangles[:, 0]] == component] for component in range(count))
+    parts = [compact(vertices, own) for own in each if len(own)]
+    large = [part for part in parts if abs(enclosed_volume(*part)) >= smallest]
+    return sorted(large, key=lambda part: -enclosed_volume(*part))
 
 
 def together(parts: Sequence[Surface]) -> Surface:
     """One surface of several."""
     first = np.cumsum([0, *(len(points) for points, _ in parts)])
-    triangles = [own + start for (_, own), start in zip(parts, first, strict=False)]
-    return np.concatenate([points for points, _ in parts]), np.concatenate(triangles)
+    triangles = np.concatenate([own + start for (_, own), start in zip(parts, first, strict=False)])
+    return np.concatenate([points for points, _ in parts]), triangles
 
 
 def open_or_double(triangles: np.ndarray) -> str:

@@ -1,15 +1,19 @@
-"""Volume fraction of metal on a grid, from the carried surface or the points of a body, and the level that encloses its volume.
+"""Volume fraction of metal on a grid, from the carried surface or the points of a body, and the surface that encloses its volume.
 
 Both sources give a smooth field that is 1 in the metal and 0 outside. Its level set is a closed surface without self-intersections.
 Features that the smoothing does not resolve are lost: lips thinner than about 1.3 sigma, folds, overlaps.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from skimage.measure import marching_cubes
 
 from ..errors import SplatError
+from ..geometry import triangles as triangulated
+from ..geometry.triangles import Surface
 from .kernels import winding
 
 MAX_CELLS = 24_000_000  # of a grid: 100 MB for each array
@@ -27,24 +31,19 @@ class Field:
         """Values (m,) at points x (m,3) m, linear between the centres, 0 outside the grid."""
         from scipy.ndimage import map_coordinates
 
-        return map_coordinates(self.values, self.index(x), order=1, mode="constant", cval=0.0, prefilter=False)
-
-    def index(self, x: np.ndarray) -> np.ndarray:
-        """Grid coordinates (3,m) of points x (m,3) m, in cells, 0 at the first centre."""
-        return ((x - self.origin) / self.h).T
+        index = ((x - self.origin) / self.h).T
+        return map_coordinates(self.values, index, order=1, mode="constant", cval=0.0, prefilter=False)
 
 
-def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[np.ndarray, tuple[int, int, int]]:
+def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[np.ndarray, tuple[int, ...]]:
     """Centre of the first cell (3,) m, and numbers of cells, of a grid over the box from low to high (3,) m with a margin (m)."""
     # these fractions keep planes and axes of symmetric bodies away from the cell centres
     first = low - margin - np.array([0.377, 0.219, 0.441]) * h
     counts = np.ceil((high + margin - first) / h).astype(int) + 1
-    if np.prod(counts.astype(float)) > MAX_CELLS:
-        raise SplatError(
-            f"a grid of {h:.3g} m over the body needs {np.prod(counts.astype(float)):.2g} cells: "
-            "give a larger element size, or check the spacing"
-        )
-    return first, (int(counts[0]), int(counts[1]), int(counts[2]))
+    if (cells := np.prod(counts.astype(float))) > MAX_CELLS:
+        remedy = "give a larger element size, or check the spacing"
+        raise SplatError(f"a grid of {h:.3g} m over the body needs {cells:.2g} cells: {remedy}")
+    return first, tuple(counts.tolist())
 
 
 def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: float) -> tuple[Field, float]:
@@ -85,10 +84,7 @@ def _smooth(values: np.ndarray, sigma: float) -> np.ndarray:
 
 def steepness(field: Field) -> np.ndarray:
     """Magnitude (nx,ny,nz) of the gradient of a field, per cell."""
-    square = np.zeros_like(field.values)
-    for axis in range(3):
-        square += np.gradient(field.values, axis=axis) ** 2
-    return np.sqrt(square)
+    return np.sqrt(sum(slope**2 for slope in np.gradient(field.values)))
 
 
 def inside(field: Field, slope: np.ndarray, level: float) -> float:
@@ -133,16 +129,46 @@ def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.n
 
     values = field.values.copy()
     gaps, _ = label(values <= level)
-    sizes = np.bincount(gaps.ravel()) * field.h**3
-    small = np.flatnonzero(sizes < smallest)
-    small = small[small != 0]
-    if len(small):
-        values[np.isin(gaps, small)] = 1.0
+    is_small = np.bincount(gaps.ravel()) * field.h**3 < smallest
+    values[(gaps > 0) & is_small[gaps]] = 1.0
     parts, _ = label(values > level)
     sizes = np.bincount(parts.ravel()) * field.h**3
-    order = [int(i) for i in np.argsort(-sizes, kind="stable") if i != 0]
-    fragments = [i for i in order if sizes[i] < smallest]
-    if fragments:
-        values[np.isin(parts, fragments)] = 0.0
-    kept = [np.argwhere(parts == i) for i in order if i not in fragments]
-    return Field(values, field.origin, field.h), kept
+    values[(parts > 0) & (sizes < smallest)[parts]] = 0.0
+    kept = [i for i in np.argsort(-sizes, kind="stable") if i > 0 and sizes[i] >= smallest]
+    return Field(values, field.origin, field.h), [np.argwhere(parts == i) for i in kept]
+
+
+def contour(field: Field, level: float) -> Surface:
+    """Vertices (k,3) m and triangles (m,3), normals outwards, of a level set (marching cubes, Lewiner 2003)."""
+    vertices, triangles, _, _ = marching_cubes(field.values, level, gradient_direction="ascent")
+    return field.origin + vertices.astype(float) * field.h, triangles.astype(np.int64)
+
+
+def handles(surface: Surface) -> int:
+    """Number of handles (genus) of one closed surface."""
+    return 1 - (len(surface[0]) - len(surface[1]) // 2) // 2
+
+
+def projection(field: Field, level: float, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A function that moves vertices (k,3) m to the surface on which a field has the value `level`, by two Newton steps of at most
+    0.15 size. size (m): size of the elements."""
+    gradient = [Field(g, field.origin, field.h) for g in np.gradient(field.values, field.h)]
+
+    def project(x: np.ndarray) -> np.ndarray:
+        for _ in range(2):
+            slope = np.stack([g.at(x) for g in gradient], axis=1)
+            square = np.einsum("ij,ij->i", slope, slope)
+            # lower bound on the slope: where the field is flat the distance is unknown
+            pull = (level - field.at(x))[:, None] * slope / np.maximum(square, (0.05 / size) ** 2)[:, None]
+            length = np.linalg.norm(pull, axis=1)
+            x = x + pull * np.minimum(1.0, 0.15 * size / np.maximum(length, 1e-9 * size))[:, None]
+        return x
+
+    return project
+
+
+def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:
+    """Closed surfaces, moved along normals so that they enclose `target` m3; and this displacement, m, at most `max_offset`."""
+    x, moved = triangulated.correct_volume(*triangulated.together(parts), target, max_offset)
+    ends = np.cumsum([len(vertices) for vertices, _ in parts])
+    return [(own, triangles) for own, (_, triangles) in zip(np.split(x, ends), parts, strict=False)], moved

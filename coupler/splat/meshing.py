@@ -14,10 +14,10 @@ from ..geometry.apart import apart
 from ..geometry.remesh import even
 from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import boundary_faces, volumes
-from ..geometry.triangles import enclosed_volume, open_or_double
+from ..geometry.triangles import Surface, enclosed_volume, open_or_double
 from ..geometry.triangles import shells as shells_of
 from . import field as fields
-from . import quality, surface
+from . import quality
 from .cloud import Cloud, Report
 
 T = TypeVar("T")
@@ -37,8 +37,8 @@ CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 @dataclass(frozen=True)
 class Strategy:
-    """A method to mesh a body. source: source of the shape ("carried", "density"); mesher: "HXT" or "Delaunay"; factor: factor on the
-    element size; sigma: smallest smoothing length divided by the element size."""
+    """A method to mesh a body. source: of the shape, "carried" or "density"; mesher: key in `mesher.ALGORITHMS`; factor: on the element
+    size; sigma: smallest smoothing length divided by the element size."""
 
     source: str
     mesher: str
@@ -47,8 +47,8 @@ class Strategy:
 
     def __str__(self) -> str:
         size = f", size x {self.factor:g}" if self.factor != 1 else ""
-        return f"{self.source} + {self.mesher}{size}" + (
-            f", smoothing {self.sigma:g}" if self.sigma != SIGMAS[0] else "")  # fmt: skip
+        smoothing = f", smoothing {self.sigma:g}" if self.sigma != SIGMAS[0] else ""
+        return f"{self.source} + {self.mesher}{size}{smoothing}"
 
 
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
@@ -67,7 +67,7 @@ class Shape:
     level: float
     volume_error: float
     pieces: list[np.ndarray]
-    shells: list[surface.Surface]
+    shells: list[Surface]
     handles: int
 
 
@@ -101,8 +101,7 @@ class CloudShape:
 def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, sigma: float) -> Shape:
     """The shape of a cloud for one smoothing length. others (k,3) m: points of other bodies; size (m): size of the elements; sigma:
     smoothing length divided by the element size."""
-    solid = cloud.solid_volume
-    min_void = MIN_VOID * cloud.spacing**3
+    solid, min_void = cloud.solid_volume, MIN_VOID * cloud.spacing**3
     if source == "carried":
         assert cloud.surface is not None
         h = _cell_size(cloud.surface[0], size / CELLS)
@@ -126,8 +125,8 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
     metal, pieces = fields.clean(metal, level, min_void)
     if not pieces:
         raise SplatError("the body is so thin or small that the smoothing removes it")
-    shells = shells_of(surface.contour(metal, level), 0.2 * min_void)
-    return Shape(metal, level, error, pieces, shells, sum(surface.handles(shell) for shell in shells))
+    shells = shells_of(fields.contour(metal, level), 0.2 * min_void)
+    return Shape(metal, level, error, pieces, shells, sum(map(fields.handles, shells)))
 
 
 def _cell_size(x: np.ndarray, h: float) -> float:
@@ -142,9 +141,7 @@ def build_mesh(
 
     Adds the wall time of each stage to `seconds`. Raises SplatError if a stage fails or the mesh is outside a limit.
     """
-    size = strategy.factor * size
-    cloud = body.cloud
-    solid = cloud.solid_volume
+    size, solid = strategy.factor * size, body.cloud.solid_volume
     report: Report = {"element_size_m": size}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
@@ -157,14 +154,13 @@ def build_mesh(
     report["volume_error_before"] = shape.volume_error
     if (outer := sum(enclosed_volume(*shell) > 0.0 for shell in shape.shells)) != 1:
         raise SplatError(f"the surface consists of {outer} separate pieces")
-    project = surface.projection(shape.field, shape.level, size)
+    project = fields.projection(shape.field, shape.level, size)
     shells = timed("surface", lambda: [even(*shell, size, project) for shell in shape.shells])
-    shells, moved = surface.correct_volume(shells, solid, MAX_OFFSET * size)
+    shells, moved = fields.correct_volume(shells, solid, MAX_OFFSET * size)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     for shell in shells:
         check_solid(*shell)
-    algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
-    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm), TIME_LIMIT))
+    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, strategy.mesher), TIME_LIMIT))
     report |= check_mesh(points, tets, solid, size)
     return points, tets, report
 

@@ -9,7 +9,7 @@ from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.geometry.triangles import enclosed_volume, open_or_double
 from coupler.particle import packing
 from coupler.splat import field as fields
-from coupler.splat import quality, surface
+from coupler.splat import quality
 
 R = 1.0
 BALL = 4.0 / 3.0 * np.pi * R**3
@@ -24,7 +24,7 @@ def test_field_of_a_surface_holds_its_volume_and_its_level_set_lies_on_it() -> N
     field, inside = fields.of_surface(*ball, 0.08, 0.12)
     assert inside == pytest.approx(enclosed_volume(*ball), rel=2e-3)
     level = fields.level_of(field, enclosed_volume(*ball))
-    vertices, triangles = surface.contour(field, level)
+    vertices, triangles = fields.contour(field, level)
     assert open_or_double(triangles) == ""
     assert enclosed_volume(vertices, triangles) == pytest.approx(enclosed_volume(*ball), rel=5e-3)
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(R, abs=0.03)
@@ -91,7 +91,7 @@ def test_remesh_splits_a_coarse_surface_and_keeps_a_hole() -> None:
     for size in (0.08, 0.3):
         y, s = remesh.even(x, t, size)
         assert open_or_double(s) == ""
-        assert surface.handles((y, s)) == 1
+        assert fields.handles((y, s)) == 1
         edge = np.linalg.norm(y[s] - y[np.roll(s, 1, axis=1)], axis=2)
         assert np.mean(edge) == pytest.approx(size, rel=0.15)
 
@@ -106,12 +106,12 @@ def test_open_and_double_surfaces_are_told() -> None:
 def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:
     ball, cavity = sphere(0.2), sphere(0.1, 0.4)
     hollow = [ball, (cavity[0], cavity[1][:, ::-1])]
-    parts, moved = surface.correct_volume(hollow, 1.05 * BALL, 0.2)
+    parts, moved = fields.correct_volume(hollow, 1.05 * BALL, 0.2)
     assert sum(enclosed_volume(*part) for part in parts) == pytest.approx(1.05 * BALL, rel=1e-6)
     assert np.linalg.norm(parts[1][0], axis=1).max() == pytest.approx(
         0.4 - moved, abs=0.01
     )  # metal grows into the cavity
-    _, moved = surface.correct_volume(hollow, 3.0 * BALL, 0.1)
+    _, moved = fields.correct_volume(hollow, 3.0 * BALL, 0.1)
     assert moved == pytest.approx(0.1)
 
 
