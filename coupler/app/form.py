@@ -90,11 +90,9 @@ class Form:
                     self.fields[key] = self._field(key)
 
     def _field(self, key: str) -> Any:
-        """Make the field of a key: a choice list or a text field, with help text below it while it is edited. Some fields also have a
-        slider."""
+        """Make the field of a key, with help text below it while it is edited, and the slider of a key in SLIDERS."""
         entry, value, leaf = self.entries[key], self.first.get(key, ""), key.rpartition(".")[2]
-        usual = entry.get("default")
-        usual = {True: "true", False: "false"}.get(usual, usual) if isinstance(usual, bool) else usual
+        usual = str(default).lower() if isinstance(default := entry.get("default"), bool) else default
         choices = entry.get("enum") or (["true", "false"] if entry.get("type") == "boolean" else None)
         own = {"material": materials.names, "nozzle": lambda: [*nozzles.library()]}.get(leaf)
         label = f"{key.replace('.', ' ').replace('_', ' ')}"

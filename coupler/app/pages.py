@@ -19,7 +19,7 @@ from ..spray import nozzles
 from ..units import parse, show
 from . import figures
 from .form import Entries, Form, entries_of
-from .previews import Now, Preview, as_csv, now, preview
+from .previews import Now, Preview, now, preview
 from .workspace import COATING, FINISHED, JOB, QUEUED, RUNNING, STOPPED, UNDECIDED, Row, Workspace
 
 UPLOAD = 1_000_000  # bytes
@@ -97,8 +97,7 @@ def add_pages(workspace: Workspace) -> None:
 
 
 def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") -> None:
-    """Make a form and, beside it, the preview of its values, which is updated at each change. copy: name of a scene or a results
-    folder whose text fills the form at the start."""
+    """Make a form and a preview of its values. copy: name of a scene or a results folder whose text the form has at the start."""
     turn = 0
 
     async def check() -> None:
@@ -145,15 +144,13 @@ def _input(page: Input, entries: Entries, workspace: Workspace, copy: str = "") 
 
 
 def _copied(workspace: Workspace, name: str) -> str:
-    """Return the text from which a run was computed: the scene with the name of the run or, if there is none, the scene or job in the
-    run's folder."""
+    """The text from which a run was computed: the scene with the name of the run, or else the scene or job in the run's folder."""
     folder = workspace.folder(name)
     places = [workspace.inside(f"{name}.toml"), folder / "scene.toml", folder / "job.toml"]
     return read_text(next((path for path in places if path.is_file()), places[1]))
 
 
 def _answer(seen: Preview, name: str) -> None:
-    """Show the preview of the values of a form."""
     if seen.numbers:
         with ui.element("div").classes("grid grid-cols-1 sm:grid-cols-2 gap-x-5 gap-y-2 w-full"):
             for line in seen.numbers:
@@ -170,8 +167,8 @@ def _answer(seen: Preview, name: str) -> None:
             for figure in seen.drawn:
                 ui.plotly(figure).classes("w-full h-[420px]")
     if seen.classes:
-        table = as_csv(seen.classes)
-        save = ui.button("Save csv", icon="download", on_click=lambda: ui.download.content(table, "window.csv"))
+        download = partial(ui.download.content, seen.classes, "window.csv")
+        save = ui.button("Save csv", icon="download", on_click=download)
         save.props("flat dense").tooltip("saves a row for each size class; the camera icon saves the picture")
     if seen.more:
         with ui.expansion("Plan of the computation (coldspray check)", value=not seen.drawn).classes("w-full"):
@@ -179,7 +176,6 @@ def _answer(seen: Preview, name: str) -> None:
 
 
 def _nozzles() -> None:
-    """Make the table of the nozzles in the library."""
     lengths = ("throat", "exit", "inlet", "converging", "diverging", "barrel")
     known = [vars(nozzle) for nozzle in nozzles.library().values()]
     rows = [{**each, **{key: show(each[key], "mm") for key in lengths}} for each in known]
@@ -275,12 +271,12 @@ def _run(workspace: Workspace, name: str) -> None:
 
 
 def _report(workspace: Workspace, folder: Path, row: Row) -> str:
-    """Return the web address of the report of a finished run or job. The report is written if it is missing or older than the run or
-    the properties of its coating."""
-    page = folder / ("job.html" if row.kind == JOB else "report.html")
-    told = [path for path in (folder / "summary.json", folder / "properties" / "properties.json") if path.is_file()]
+    """The web address of the report of a finished run or job, which is written anew if the run or its properties are newer."""
+    if row.kind == JOB:
+        return workspace.address(folder / "job.html")
+    page, told = folder / "report.html", (folder / "summary.json", folder / "properties" / "properties.json")
     written = page.stat().st_mtime if page.is_file() else 0.0
-    if row.kind != JOB and written < max(path.stat().st_mtime for path in told):
+    if written < max(path.stat().st_mtime for path in told if path.is_file()):
         workspace.call("report", str(folder))
     return workspace.address(page)
 
@@ -345,8 +341,7 @@ def _runs(workspace: Workspace) -> None:
 
 
 def _metals(workspace: Workspace) -> None:
-    """Make the page of the metals in the library, with flow curves of their strength sets and a form for the user's own table of
-    metals."""
+    """Make the page of the metals: sources and flow curves of the library, and a form for the user's own table of metals."""
 
     def draw() -> None:
         values: dict[str, float] = {}
@@ -394,8 +389,7 @@ def _metals(workspace: Workspace) -> None:
 
 
 def _own_metals(workspace: Workspace, name: str, content: bytes) -> str:
-    """Store an uploaded table of metals in the workspace if it can be read. Returns the text lines of the command `coldspray
-    materials --import`. Raises ColdsprayError."""
+    """Import an uploaded table of metals into the workspace. Returns the text of `coldspray materials --import`."""
     if not name.endswith(".csv"):
         raise ColdsprayError(f"{name}: upload a .csv file, or copy a .toml file into {workspace.root}")
     path = workspace.save(name.removesuffix(".csv"), content.decode("utf-8", "replace"), ".csv")

@@ -1,11 +1,10 @@
 """Texts and figures that the local web page shows about a scene or a job during typing, and about a run during its computation."""
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from ..core.process import cores
 from ..errors import ColdsprayError, SceneError
@@ -28,15 +27,15 @@ _DRAWING = threading.Lock()  # matplotlib draws in one thread at a time
 @dataclass(frozen=True)
 class Preview:
     """Preview of a scene or a job. problems: problems of the input; if there are any, all other values are empty. lines: expected
-    time and error; more: description of the computation; numbers, drawn: results and figures of the gas; classes: columns of the
-    table of the powder's size classes at impact."""
+    time and error; more: description of the computation; numbers, drawn: results and figures of the gas; classes: text of a CSV table
+    of the powder's size classes at impact."""
 
     problems: Iterable[str] = ()
     lines: str = ""
     more: str = ""
     numbers: tuple[Number, ...] = ()
     drawn: tuple[figures.Figure, ...] = ()
-    classes: Mapping[str, Iterable[float | str]] | None = None
+    classes: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,12 @@ def preview(text: str, path: Path, verb: str, here: pace.Pace) -> Preview:
             more = f"in this order while there is time: {'; '.join(part.words for part in job.parts)}"
         windows = [figures.deposition_window(job, name) for name, p in job.powders.items() if not p.metal.is_ceramic]
         drawn = (*windows, *(figures.flights(job, name) for name in job.powders))
-        each: list[dict[str, Any]] = [
-            {
-                "powder": [name] * len(at.share), "share": at.share, "diameter_um": 1e6 * at.diameter,
-                "velocity_m_s": at.velocity, "temperature_K": at.temperature, "critical_velocity_m_s": at.critical,
-            }
-            for name, at in job.arrived.items()
-        ]  # fmt: skip
-        classes = {key: [value for columns in each for value in columns[key]] for key in each[0]}
+        classes = "powder,share,diameter_um,velocity_m_s,temperature_K,critical_velocity_m_s\n"
+        for name, at in job.arrived.items():
+            columns = at.share, 1e6 * at.diameter, at.velocity, at.temperature, at.critical
+            classes += "".join(
+                ",".join([name, *map("{:.7g}".format, row)]) + "\n" for row in zip(*columns, strict=True)
+            )
         return Preview((), lines, more, tuple(numbers(job, {}, Coating({}, {}))), drawn, classes)
     except SceneError as error:
         return Preview(error.problems)
@@ -95,25 +92,16 @@ def now(workspace: Workspace, folder: Path) -> Now:
                 text = screen(result) if done else log
         except (ColdsprayError, OSError) as error:
             text = f"{error}\n\n{log}"
-    pictures = [
-        path for pattern in ("live*.png", "coating/*.png", "micrograph.png") for path in sorted(folder.glob(pattern))
-    ]
-    return Now(row, text, energy, tuple(workspace.address(path) for path in pictures))
+    patterns = "live*.png", "coating/*.png", "micrograph.png"
+    pictures = (workspace.address(path) for pattern in patterns for path in sorted(folder.glob(pattern)))
+    return Now(row, text, energy, tuple(pictures))
 
 
 @lru_cache(maxsize=32)
 def _draw(folder: Path, steps: int, impact: int) -> None:
-    """Draw the cross-section at the last stored step and, for several impacts, the growth of the coating. Each step is drawn only
-    once."""
+    """Draw the cross-section at the last stored step and, for several impacts, the growth of the coating, once for each step."""
     with _DRAWING:
         if steps:
             picture.section_picture(Result(folder), folder / "live.png")
         if impact > 2:
             coating_files.draw_growth(coating.growth(Result(folder)), folder / "live_growth.png")
-
-
-def as_csv(columns: Mapping[str, Any]) -> str:
-    """Return columns of texts or numbers as the text of a CSV table."""
-    rows = zip(*columns.values(), strict=True)
-    cells = ([each if isinstance(each, str) else f"{each:.7g}" for each in row] for row in rows)
-    return "\n".join([",".join(columns), *(",".join(row) for row in cells)]) + "\n"

@@ -88,9 +88,8 @@ class Workspace:
     def save(self, name: str, text: str, suffix: str = ".toml") -> Path:
         """Write a new file into `root`. Raises StoreError if the name is not valid or already in use."""
         if not _NAME.fullmatch(name):
-            raise StoreError(
-                f"name = {name[:80]!r}: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)"
-            )
+            rule = "use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)"
+            raise StoreError(f"name = {name[:80]!r}: {rule}")
         path = self.inside(name + suffix)
         if path.exists() or path.is_symlink():
             raise StoreError(f"name = {name!r}: {path.name} exists, choose another name")
@@ -210,8 +209,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _environment() -> dict[str, str]:
-    """Environment variables for a new process. Python must not import from the workspace, because files of the user can have the
-    names of modules."""
+    # Python must not import from the workspace: files of the user can have the names of modules
     return {**os.environ, "PYTHONSAFEPATH": "1"}
 
 
@@ -221,8 +219,6 @@ def alive(folder: Path) -> bool:
     try:
         with (folder / LOG).open() as log:
             fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
     return False

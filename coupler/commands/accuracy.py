@@ -2,9 +2,12 @@
 
 import argparse
 import math
+from bisect import bisect_right
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import ColdsprayError
+from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands, Option
 
@@ -38,7 +41,6 @@ def add_to_run(option: Option) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute a scene at several numbers of points, or continue such a study, and draw the result. Returns the exit code."""
     from ..studies import accuracy
-    from ..studies.table import write_rows
 
     scene = options.scene_of(arguments)
     out, say = options.study_folder(arguments, scene, "accuracy", _NAMES), options.teller(arguments.quiet)
@@ -81,8 +83,7 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
     """Return the scene with the resolution that --within or --accuracy determines, and a text line about it. within, accuracy: texts
     of these options. If both are given, --accuracy determines the resolution, provided the time is sufficient. Raises ColdsprayError
-    for a text that is not a time or a percentage, ColdsprayError if no resolution is possible."""
-    from ..errors import ColdsprayError
+    for a text that is not a time or a percentage, and if no resolution is possible."""
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan
@@ -114,16 +115,13 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
                 f" {within}: increase --within or --accuracy"
             )
     else:
-        if (needed := time_of(coarsest)) > limit:
+        allowed = range(coarsest, max(MOST, coarsest) + 1)
+        if not (fitting := bisect_right(allowed, limit, key=time_of)):
             raise ColdsprayError(
                 f"--within {within} is too short: with {coarsest} points, the smallest allowed number, this scene takes about"
-                f" {duration(needed)} on this machine; increase --within, or reduce [end] time"
+                f" {duration(time_of(coarsest))} on this machine; increase --within, or reduce [end] time"
             )
-        low, high = coarsest, max(MOST, coarsest)
-        while high - low > 0.02 * high:
-            middle = round(math.sqrt(low * high))
-            low, high = (middle, high) if time_of(middle) <= limit else (low, middle)
-        points = high if time_of(high) <= limit else low
+        points = allowed[fitting - 1]
     resolved = at_points(scene, points)
     forecast = refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))
     text = f"resolution chosen: {points} points" + (f", about {duration(time_of(points))} here" if pace else "")

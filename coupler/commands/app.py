@@ -5,6 +5,7 @@ import re
 from importlib.resources import files
 from pathlib import Path
 
+from ..files.outputs import check_folder
 from .arguments import Commands, add_command, path
 
 
@@ -20,7 +21,6 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the web server until Ctrl-C. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     from ..app.server import Workspace, serve
-    from ..files.outputs import check_folder
     from .accuracy import here
 
     check_folder(arguments.folder)

@@ -105,14 +105,13 @@ def _setting(text: str) -> tuple[str, str | None]:
     """Option type of `--set`: a key and its value; None if the value is empty."""
     key, sign, value = text.partition("=")
     if not sign:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} has no '=': expected KEY=VALUE, such as particle.velocity='600 m/s'"
-        )
+        form = "KEY=VALUE, such as particle.velocity='600 m/s'"
+        raise argparse.ArgumentTypeError(f"{text!r} has no '=': expected {form}")
     return key.strip(), value.strip() or None
 
 
 def at_least_one(text: str, most: int | None = None) -> int:
-    """Make the option type for a whole number from one to `most`."""
+    """Option type: a whole number from one to `most`."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     if most is not None and int(text) > most:

@@ -6,11 +6,15 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
+from ..files.outputs import claim_folder
 from . import arguments as options
 from .arguments import Commands
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
+
+# statistics of a layer in the table: field, width of the first column, number of digits, factor from SI
+_FORMS = (("eps_p", 14, ".2f", 1.0), ("T", 13, ".0f", 1.0), ("von_mises", 23, ".0f", 1e-6))
 
 
 def add(commands: Commands) -> None:
@@ -31,7 +35,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    from ..files.outputs import claim_folder
     from ..files.result import Result
     from ..plan.reading import Scene
     from ..report.picture import stage
@@ -75,11 +78,7 @@ def describe(measures: "CoatingMeasures") -> list[str]:
     ]
     for row in measures.layers:
         table.append(f"{row['layer'] or 'substrate':<9} {row['splats']:7d}")
-        for name, width, form, factor in (
-            ("eps_p", 14, ".2f", 1.0),
-            ("T", 13, ".0f", 1.0),
-            ("von_mises", 23, ".0f", 1e-6),
-        ):
+        for name, width, form, factor in _FORMS:
             mean, tail, most = (factor * row[f"{name}_{kind}"] for kind in ("mean", "p99", "max"))
             table[-1] += f" {mean:{width}{form}} {tail:6{form}} {most:6{form}}"
     return table

@@ -3,12 +3,14 @@
 import argparse
 from functools import partial
 
+from ..errors import StoreError
+from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands, continuing, jobs_of, quantity, remake, scene_of, share, study_folder, teller
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
-_LIMITS = "10 m/s", "2000 m/s"  # as of particle.velocity in a scene
 _MOST_PLACEMENTS = 100
+_LIMITS = "10 m/s", "2000 m/s"  # as of particle.velocity in a scene
 
 
 def add(commands: Commands) -> None:
@@ -28,11 +30,9 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Search the critical velocity of a scene, or continue the search, and draw the result. Returns the exit code."""
-    from ..errors import StoreError
     from ..plan.planning import plan
     from ..plan.refinement import at_points, companions
     from ..studies import critical
-    from ..studies.table import write_rows
 
     scene = scene_of(arguments)
     critical.check(scene)

@@ -158,7 +158,6 @@ def conditions_of(flow: "Flow") -> str:
 
 
 def _at_exit(flow: "Flow", flight: "Flight") -> float:
-    """Velocity (m/s) of the particle at the exit of the nozzle."""
     return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
 
 
@@ -187,11 +186,9 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
         colour = colormaps["viridis"](0.9 * i / max(len(flights) - 1, 1))
         above.plot(flight.x * 1e3, flight.v, color=colour, linewidth=1.4, label=f"{D * 1e6:.4g} µm")
         below.plot(flight.x * 1e3, flight.T, color=colour, linewidth=1.4)
-    places = {"throat": 0.0, "exit": flow.nozzle.end, "target": flow.target}
-    for axis in (above, below):
-        for x in places.values():
+    for name, x in {"throat": 0.0, "exit": flow.nozzle.end, "target": flow.target}.items():
+        for axis in (above, below):
             axis.axvline(x * 1e3, color="0.75", linewidth=0.8, zorder=0)
-    for name, x in places.items():
         above.annotate(name, (x * 1e3, 1.0), (2, 3), xycoords=("data", "axes fraction"), textcoords="offset points")
     above.set_ylabel("velocity (m/s)")
     below.set(ylabel="temperature (K)", xlabel="distance from the throat (mm)")

@@ -4,6 +4,7 @@ makes."""
 import argparse
 from pathlib import Path
 
+from ..files.inputs import read_text
 from .arguments import Commands, add_command, add_jobs, add_quiet, continuing, jobs_of, path, teller
 
 
@@ -20,7 +21,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute a job, or continue an unfinished one. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    from ..files.inputs import read_text
     from ..plan.job import read
     from ..plan.planning import plan
     from ..studies import job as study

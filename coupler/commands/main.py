@@ -1,7 +1,6 @@
 """The command `coldspray`. Large packages are imported only inside the functions that use them, so that --help is fast."""
 
 import argparse
-import codecs
 import errno
 import io
 import os
@@ -17,6 +16,7 @@ from .. import __version__
 from ..core.process import interrupted_by, search_cycles_less
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
+from ..files.outputs import RUN_FILES, check_folder, claim_file, claim_folder, keep_inputs
 from ..units import nearest
 from . import accuracy, app, coating, critical, gas, job, materials, mesh, new, properties, sweep, track, watch, window
 from . import arguments as options
@@ -33,17 +33,9 @@ _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fo
 _EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields", "nicegui": "app"}
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # exit code of a run that ends before its end criterion is met
-_PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals without these characters
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more memory"
 _FURTHER = "continue until there is a verdict: coldspray resume {} --until TIME"
-
-
-def _plainly(error: UnicodeError) -> tuple[str, int]:
-    """Error handler of a text stream: it replaces characters that the terminal cannot show."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -61,10 +53,8 @@ def main(argv: list[str] | None = None) -> int:
             return 2
         arguments = parser.parse_args(words)
         arguments.words = words
-        with (
-            bounded_memory(),
-            interrupted_by(signal.SIGTERM, signal.SIGHUP),
-        ):  # as Ctrl-C: the runs of a study end with it
+        # the signals act as Ctrl-C: the runs of a study end with it
+        with bounded_memory(), interrupted_by(signal.SIGTERM, signal.SIGHUP):
             code = arguments.command(arguments)
         sys.stdout.flush()
         return code
@@ -78,7 +68,7 @@ def main(argv: list[str] | None = None) -> int:
         _flush()
         return _BROKEN_PIPE  # the reader has closed the pipe (`| head`)
     except KeyboardInterrupt as interrupt:
-        return _fail("stopped", 128 + _number(interrupt))
+        return _fail("stopped", _code(interrupt))
     except MemoryError as error:
         return _fail(f"out of memory{f': {error}' if str(error) else ''}; {_MORE_MEMORY}", 2)
     except (OSError, ImportError) as error:
@@ -93,14 +83,14 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(message, 2)
 
 
-def _number(interrupt: KeyboardInterrupt) -> int:
-    """Number of the signal that has interrupted a command; shells add 128 to it in the exit code."""
-    return int(interrupt.args[0]) if interrupt.args else signal.SIGINT
+def _code(interrupt: KeyboardInterrupt) -> int:
+    """Exit code of a command that a signal has interrupted: 128 and the number of the signal, as in shells."""
+    return 128 + (int(interrupt.args[0]) if interrupt.args else signal.SIGINT)
 
 
 def _prepare() -> None:
-    """Prepare the process: open missing standard streams, replace characters that the terminal cannot show, ignore a matplotlib
-    backend that is meant for notebooks, and search for cycles of references less often."""
+    """Open missing standard streams, show "?" for characters that the terminal lacks, ignore a matplotlib backend for notebooks, and
+    search for cycles of references less often."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -108,9 +98,8 @@ def _prepare() -> None:
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r"))
-    codecs.register_error("plain", _plainly)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="plain")
+        sys.stdout.reconfigure(errors="replace")
     os.environ.pop("MPLBACKEND", None)
     search_cycles_less()
 
@@ -237,8 +226,6 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from ..files.outputs import RUN_FILES, check_folder, keep_inputs
-
     scene = options.scene_of(arguments)
     out = arguments.out or Path("runs") / scene.name
     check_folder(out)
@@ -285,7 +272,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         result = work(progress=progress, threads=arguments.threads, checkpoint_every=every, jobs=jobs)
     except KeyboardInterrupt as interrupt:
         saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # a summary: only the error is missing
-        return _fail(_stopped(progress, out, saved), 128 + _number(interrupt))
+        return _fail(_stopped(progress, out, saved), _code(interrupt))
     finally:
         progress.stop()
     if result.undecided is not None and is_first_rank():
@@ -302,7 +289,6 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.page import write_report
     from ..studies.coating_seeds import lines_of
@@ -316,7 +302,6 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _animate(arguments: argparse.Namespace) -> int:
-    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.animation import SUFFIXES, animate, ffmpeg
 
@@ -331,7 +316,6 @@ def _animate(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     from ..files.export import NAMES, write_fields
-    from ..files.outputs import claim_folder
     from ..files.result import Result
 
     result, out = Result(arguments.run), arguments.out or arguments.run / "pvd"
@@ -345,7 +329,6 @@ def _export(arguments: argparse.Namespace) -> int:
 def _compare(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.compare import check_count, compare, comparison_table
 

@@ -3,6 +3,9 @@
 import argparse
 from typing import Any
 
+from ..errors import StoreError
+from ..files.inputs import reading
+from ..files.outputs import MARK, check_folder, claim_file, kind_of
 from .arguments import Commands, add_command, add_force, path, working
 
 QUANTITIES = (
@@ -30,8 +33,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    from ..errors import StoreError
-    from ..files.outputs import MARK, check_folder, claim_file, kind_of
     from ..studies import map_figures, maps, runs_table
 
     if kind_of(arguments.folder) == "run":
@@ -71,7 +72,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _table(arguments: argparse.Namespace) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The rows of the table of a folder, and the axes that the option --axes names."""
-    from ..files.inputs import reading
     from ..studies import runs_table
 
     with reading(arguments.folder), working("reading the runs"):

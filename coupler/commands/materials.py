@@ -4,8 +4,9 @@ import argparse
 import textwrap
 from typing import TYPE_CHECKING
 
+from ..units import rounded
 from .arguments import Commands, add_command, add_force, path
-from .collection import COLUMNS
+from .collection import COLUMNS, write_library
 
 if TYPE_CHECKING:
     from ..physics.materials import Entry, Material
@@ -26,7 +27,6 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an unknown name, or with every problem of a table."""
     from ..physics import materials
-    from .collection import write_library
 
     if arguments.table:
         out = arguments.out or arguments.table.with_suffix(".toml")
@@ -84,7 +84,6 @@ def _explained(known: "Entry") -> list[str]:
 def _set(metal: "Material") -> list[str]:
     """Text lines about a strength set: parameters, range, flow stresses."""
     from ..physics.strength import LAWS
-    from ..units import rounded
 
     law = metal.strength
     parameters = LAWS[law.law].parameters

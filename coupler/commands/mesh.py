@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SplatError
+from ..files.inputs import reading, require_memory
+from ..files.outputs import MARK, claim_file, kind_of, replacing
 from ..units import UnitError, parse, rounded
 from .arguments import Commands, add_command, add_force, path, quantity, working
 
@@ -33,12 +35,12 @@ def add(commands: Commands) -> None:
     option("--out", type=path, metavar="FILE", help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)")
     add_force(option)
     option("--method", choices=METHODS, default="auto", help="source of the surface (default: auto)")
-    for name, form, default, text in (
-        ("--size", "{}", None, f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),
-        ("--spacing", "{}", None, "spacing of the undeformed points (default: that of the run, or an estimate)"),
-        ("--unit", "1 {}", None, "unit of the coordinates: mm, um, nm, m (default: from the column headings, or m)"),
+    for name, form, text in (
+        ("--size", "{}", f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),
+        ("--spacing", "{}", "spacing of the undeformed points (default: that of the run, or an estimate)"),
+        ("--unit", "1 {}", "unit of the coordinates: mm, um, nm, m (default: from the column headings, or m)"),
     ):
-        option(name, type=quantity(name, "length", form=form), metavar="L", default=default, help=text)
+        option(name, type=quantity(name, "length", form=form), metavar="L", help=text)
     text = "names of the columns of a text file in their order, such as 'x y z T'; - leaves a column out (default: detected)"
     option("--columns", metavar="NAMES", help=text)
     option("--step", type=int, metavar="N", default=-1, help="stored step of the run (default: the last)")
@@ -46,8 +48,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
-    from ..files.inputs import reading, require_memory
-    from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert
 
     source: Path = arguments.cloud
@@ -87,14 +87,10 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         raise SplatError(f"--step {step}: {problem}") from None
     impact = read_plan(folder).impacts[impact_at(result, fields.time) - 1]
     spacing = spacing or (sphere_volume(impact.diameter) / len(fields.points)) ** (1.0 / 3.0)
-    times = result.times("surface")
-    skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
-    surface, notes = None, []
-    if len(skin):
-        whole = result.fields(int(skin[-1]), "surface")
-        surface = whole.points, whole.cells
-    else:
-        notes.append("no surface is stored at this step: the shape follows from the points")
+    skin = np.flatnonzero(np.isclose(result.times("surface"), fields.time, rtol=1e-9, atol=0.0))
+    whole = result.fields(int(skin[-1]), "surface") if len(skin) else None
+    surface = (whole.points, whole.cells) if whole is not None else None
+    notes = [] if surface else ["no surface is stored at this step: the shape follows from the points"]
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
         fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
@@ -166,16 +162,15 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
     try:
         named = parse(f"1 {of_file}", "length")
     except UnitError as problem:
-        if given is None:
-            raise SplatError(
-                f"the unit of x, y and z, {of_file!r:.20}: {problem}. Correct it, or give --unit"
-            ) from None
-        return given
-    if given is not None and given != named:
-        text = f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
-        raise SplatError(text)
+        if given is not None:
+            return given
+        text = f"the unit of x, y and z, {of_file!r:.20}: {problem}. Correct it, or give --unit"
+        raise SplatError(text) from None
     if given is None:
         notes.append(f"the unit of the coordinates is {of_file}, from the column headings")
+    elif given != named:
+        text = f"--unit differs from the unit of x, y and z in the file, {of_file}: leave it out, or correct the file"
+        raise SplatError(text)
     return named
 
 
@@ -219,7 +214,6 @@ def write(path: Path, splat: "Splat") -> None:
     import numpy as np
 
     from ..core.records import rows_of
-    from ..files.outputs import MARK, replacing
     from ..physics.metal import MetalState
 
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])

@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from ..files.outputs import MARK, claim_folder, write_text
 from .arguments import Commands, add_command, add_force, add_quiet, path, remake, working
 
 
@@ -19,7 +20,6 @@ def add(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
-    from ..files.outputs import MARK, claim_folder, write_text
     from ..plan.job import read
     from ..scene.job import TrackData
     from ..studies import track as study

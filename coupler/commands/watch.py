@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..files.inputs import last_lines, reading
+from ..files.outputs import claim_file
 from .arguments import Commands, add_command, add_force, path, seconds
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
-    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report import screen, section_picture
 

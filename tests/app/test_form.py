@@ -12,7 +12,7 @@ pytest.importorskip("nicegui")
 
 from coupler.app.form import entries_of, numbered, placed
 from coupler.app.pages import INPUTS, _report
-from coupler.app.previews import as_csv, preview
+from coupler.app.previews import preview
 from coupler.app.workspace import FINISHED, RUN, Row
 from coupler.scene.json_schema import job_schema, scene_schema
 from coupler.scene.toml import changed, texts
@@ -63,7 +63,7 @@ def test_a_job_is_answered_by_the_formula_as_it_is_typed(tmp_path):
     assert seen.problems == ()
     assert "Velocity at impact" in seen.numbers[0].label
     assert [len(figure["data"]) > 3 for figure in seen.drawn] == [True, True]
-    assert len(seen.classes["share"]) == 25
+    assert len(seen.classes.splitlines()) == 1 + 25
 
 
 def test_each_powder_of_a_blend_has_its_fields_and_its_curves(tmp_path):
@@ -76,7 +76,7 @@ def test_each_powder_of_a_blend_has_its_fields_and_its_curves(tmp_path):
     seen = preview(text, tmp_path / "x.toml", "", HERE)
     assert [trace["name"] for trace in seen.drawn[0]["data"]][-1] == "Cu: 25 classes of equal mass"
     assert len(seen.drawn) == 3  # a window of copper, two flights
-    assert as_csv(seen.classes).splitlines()[-1].startswith("Al2O3,0.98,")
+    assert seen.classes.splitlines()[-1].startswith("Al2O3,0.98,")
     wrong = changed(text, [("powder[2].material", "Al2O4")])
     found = placed(preview(wrong, tmp_path / "x.toml", "job", HERE).problems, keys)
     assert "unknown material" in found["powder[2].material"]
