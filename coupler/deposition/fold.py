@@ -201,7 +201,7 @@ class Deposition:
         text = f"particle {task.i + 1} of the scene's sequence was skipped: {error}"
         self.options.progress.log(text)
         if task.written is not None:
-            self.store.go_back(task.written, self.options.progress.log)
+            self.store.go_on(task.written, self.options.progress.log)
         self.plan = self.plan.without(task.i, text)
         write_text(self.folder / PLAN, plan_text(self.plan))
         self._about = self._identity()

@@ -42,10 +42,7 @@ class Points:
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
     """The points of a file. known: names of fields to read from an .npz file; columns: names of the columns of a text file, where "-"
     leaves a column out. Raises InputError, also for a surface; StoreError if memory is too small."""
-    size, kind = check_regular(path), path.suffix.lower()
-    if size > LARGEST_FILE:
-        most = f"{LARGEST_FILE // 1024**3} GiB, which is the largest size that can be read"
-        raise InputError(path, f"is larger than {most}: give fewer points")
+    size, kind = check_regular(path, LARGEST_FILE), path.suffix.lower()
     if columns is not None and kind not in TEXT:
         raise InputError(path, f"has no columns to name: leave --columns out, it is only for {', '.join(TEXT)}")
     if kind in SURFACES and len(read_surface(path)[1]):
@@ -101,8 +98,9 @@ def _table(path: Path, columns: list[str] | None) -> Points:
         raise ValueError(f"its columns are {', '.join(table.columns)[:200]}: {hint}")
     units = {table.units.get(name, "") for name in axes.values()}
     if len(units) > 1:
-        text = f"x, y and z have different units: {', '.join(sorted(units))}"
-        raise ValueError(f"{text}: give the same unit for all three")
+        raise ValueError(
+            f"x, y and z have different units: {', '.join(sorted(units))}: give the same unit for all three"
+        )
     fields = {name: values for name, values in table.columns.items() if name not in axes.values()}
     x = np.stack([table.columns[axes[axis]] for axis in "xyz"], axis=1)
     return Points(x, fields, {**table.units, "x": units.pop()}, table.notes)

@@ -21,7 +21,7 @@ _MOST_ROWS = 1000  # of a matrix; of larger ones, blocks are averaged
 def read_heights(path: Path) -> Surface:
     """Points (n,3) and triangles (m,3) of a surface in a file, in its units: the pitch of a matrix is 1, and heights of images of
     integers are 0 (black) to 1 (white). The first row of a matrix has the largest y. Raises InputError, StoreError."""
-    kind, size = path.suffix.lower(), check_regular(path)
+    kind = path.suffix.lower()
     if kind in SURFACES:
         x, triangles = read_surface(path)
         if len(triangles) == 0:
@@ -29,9 +29,7 @@ def read_heights(path: Path) -> Surface:
         return x, triangles
     if kind not in (*IMAGES, *TEXTS):
         raise InputError(path, f"is no file of heights: its name must end in {', '.join((*TEXTS, *IMAGES, *SURFACES))}")
-    if size > LARGEST_MAP:
-        raise InputError(path, f"is larger than {LARGEST_MAP // 1024**2} MiB: give fewer heights")
-    require_memory(_MEMORY * size, f"to read {path}")
+    require_memory(_MEMORY * check_regular(path, LARGEST_MAP), f"to read {path}")
     try:
         values = _image(path) if kind in IMAGES else _numbers(read_any_text(path, LARGEST_MAP))
         if not np.isfinite(values).all():

@@ -28,6 +28,7 @@ INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
 _STATUS = "/proc/self/status"
+_LIMITS = {"VmSize": resource.RLIMIT_AS, "VmData": resource.RLIMIT_DATA}  # memory in this file -> its limit
 _LEAST_FILE = 16 * 1024**2  # bytes: MPI stores messages in files in memory
 # tomllib stores every prefix of a dotted key: the memory grows with the square of its length
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
@@ -44,8 +45,9 @@ class InputError(StoreError):
         return type(self), (self.path, self.reason)
 
 
-def check_regular(path: str | Path) -> int:
-    """Size of a regular file, bytes. Raises InputError if the path is missing, a folder, a pipe, a device or a loop of links."""
+def check_regular(path: str | Path, limit: int | None = None) -> int:
+    """Size of a regular file, bytes. limit: greatest size, bytes. Raises InputError if the file is larger, or the path is missing, a
+    folder, a pipe, a device or a loop of links."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -56,6 +58,8 @@ def check_regular(path: str | Path) -> int:
         raise InputError(path, "cannot be read: it is a folder, but a file is expected")
     if not stat.S_ISREG(status.st_mode):
         raise InputError(path, "cannot be read: it is a pipe or a device, but a regular file is expected")
+    if limit is not None and status.st_size > limit:
+        raise _too_large(path, limit)
     return status.st_size
 
 
@@ -70,9 +74,7 @@ def similar(path: str | Path, is_folder: bool = False) -> str:
 
 def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
     """Open a regular file for reading. limit: greatest size, bytes. Raises InputError."""
-    size = check_regular(path)
-    if limit is not None and size > limit:
-        raise _too_large(path, limit)
+    check_regular(path, limit)
     try:
         return os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except OSError as error:
@@ -144,8 +146,7 @@ def line_of(text: str, problem: str) -> str:
         return ""
     line = lines[int(place[1]) - 1].strip()
     hint = '; write a value with its unit in quotes, such as "25 um"' if _WITHOUT_QUOTES.search(line) else ""
-    shown = "".join(c if c.isprintable() else "?" for c in line[:60])
-    return f": {shown}{hint}" if line else ""
+    return f": {''.join(c if c.isprintable() else '?' for c in line[:60])}{hint}" if line else ""
 
 
 def parse_json(text: str) -> object:
@@ -251,12 +252,10 @@ def bounded_memory() -> Iterator[None]:
 def _check_own_limits() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= soft < _LEAST_DESCRIPTORS:
-        wanted = _LEAST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_LEAST_DESCRIPTORS, hard)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-        if wanted < _LEAST_DESCRIPTORS:
-            raise StoreError(
-                f"the system allows only {hard} open files, but {_LEAST_DESCRIPTORS} are needed: raise this limit with ulimit -n"
-            )
+        if 0 <= hard < _LEAST_DESCRIPTORS:
+            needed = f"{_LEAST_DESCRIPTORS} are needed: raise this limit with ulimit -n"
+            raise StoreError(f"the system allows only {hard} open files, but {needed}")
+        resource.setrlimit(resource.RLIMIT_NOFILE, (_LEAST_DESCRIPTORS, hard))
     for limit, least, words, option in (
         (resource.RLIMIT_FSIZE, _LEAST_FILE, "files are limited", "-f"),
         (resource.RLIMIT_AS, _LEAST_ADDRESS_SPACE, "the address space is limited", "-v"),
@@ -274,8 +273,8 @@ def _cgroup() -> int:
         return left
     folder = root / next((line[4:] for line in lines if line.startswith("0::/")), "")
     for level in (folder, *folder.parents):
-        bound, used = _number(level / "memory.max"), _number(level / "memory.current")
-        if bound is not None and used is not None:
+        with suppress(OSError, ValueError):  # ValueError: "max", no limit
+            bound, used = (int((level / f"memory.{name}").read_text()) for name in ("max", "current"))
             # the system frees pages of files when memory is short
             cached = _field(level / "memory.stat", "inactive_file", unit=1)
             left = min(left, max(bound - used + cached, 0))
@@ -283,32 +282,17 @@ def _cgroup() -> int:
 
 
 def _own_limits() -> int:
-    limits = {
-        "VmSize": resource.getrlimit(resource.RLIMIT_AS)[0],
-        "VmData": resource.getrlimit(resource.RLIMIT_DATA)[0],
-    }
-    own = (max(soft - _field(_STATUS, used), 0) for used, soft in limits.items() if soft != resource.RLIM_INFINITY)
+    soft = {used: resource.getrlimit(kind)[0] for used, kind in _LIMITS.items()}
+    own = (max(bound - _field(_STATUS, used), 0) for used, bound in soft.items() if bound != resource.RLIM_INFINITY)
     return min(own, default=2**62)
 
 
 def _field(path: str | Path, name: str, unit: int = 1024) -> int:
     """A number from a file with lines "name: number kB" or "name number", in bytes; 0 if it is missing."""
-    try:
-        with open(path) as stream:
-            for line in stream:
-                words = line.replace(":", " ").split()
-                if words and words[0] == name:
-                    return int(words[1]) * unit
-    except (OSError, ValueError, IndexError):
-        pass
+    with suppress(OSError):
+        if found := re.search(rf"^{re.escape(name)}:?\s+(\d+)", Path(path).read_text(), re.MULTILINE):
+            return int(found[1]) * unit
     return 0
-
-
-def _number(path: Path) -> int | None:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):  # "max": no limit
-        return None
 
 
 def _bytes(count: float) -> str:

@@ -142,9 +142,8 @@ def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None
     differ from those of an existing file. Raises StoreError if others differ."""
     free = dict.fromkeys(but)
     if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
-        raise StoreError(
-            f"{path.parent} already holds another {what}: choose another folder with --out, or remove that {what}"
-        )
+        there = f"{path.parent} already holds another {what}"
+        raise StoreError(f"{there}: choose another folder with --out, or remove that {what}")
     write_text(path, text)
 
 
@@ -154,6 +153,5 @@ def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
         for source in [item / name for name in RUN_FILES] if item.is_dir() else [item]:
             with contextlib.suppress(OSError):
                 if path.samefile(source):
-                    raise StoreError(
-                        f"cannot write {path}: it is the same file as the input {source}; choose another name or folder"
-                    )
+                    same = f"it is the same file as the input {source}"
+                    raise StoreError(f"cannot write {path}: {same}; choose another name or folder")

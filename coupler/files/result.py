@@ -39,9 +39,7 @@ class Result:
         self.directory = Path(directory).absolute()  # the working folder may change
         if not self.directory.is_dir():
             of_scene = "; a scene's results are in runs/NAME" if self.directory.is_file() else ""
-            raise StoreError(
-                f"{directory} is not a results folder{of_scene or similar(Path(directory), is_folder=True)}"
-            )
+            raise StoreError(f"{directory} is not a results folder{of_scene or similar(directory, is_folder=True)}")
         known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in STORED)]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
@@ -53,9 +51,8 @@ class Result:
         return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
 
     def _repr_html_(self) -> str:
-        """HTML for a notebook: verdict, measures and cross-section. The package `report`, which draws them and itself imports this
-        module, is imported inside the function."""
-        html: str = import_module("coupler.report.notebook").html(self)
+        """HTML for a notebook: verdict, measures and cross-section."""
+        html: str = import_module("coupler.report.notebook").html(self)  # which itself imports this module
         return html
 
     @property
@@ -191,10 +188,8 @@ class Result:
         names, values = self._rows()
         written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
         if written != len(values):
-            path = self.directory / HISTORY
-            raise StoreError(
-                f"{path} is damaged: it has {len(values)} rows, but the run wrote {written} rows; compute the run again"
-            )
+            lacks = f"it has {len(values)} rows, but the run wrote {written} rows"
+            raise StoreError(f"{self.directory / HISTORY} is damaged: {lacks}; compute the run again")
         table = {name: values[:, number].copy() for number, name in enumerate(names)}
         if column is None:
             return table

@@ -97,6 +97,7 @@ class Store:
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
         """Reset the files to an earlier `state`, or to empty files if it is None. New files replace the old ones only when they are
         complete, so that an interruption loses nothing. A damaged file is started again; log(text) receives a line about it."""
+        self._close_files()
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # it exists if the run was undecided
             (self.directory / SUMMARY).unlink(missing_ok=True)
@@ -118,16 +119,6 @@ class Store:
                 self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
             else:
                 path.unlink(missing_ok=True)
-
-    def go_back(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """As `go_on`, but for a store whose files are open."""
-        with _named(self.directory):
-            for writer in self._writers.values():
-                writer.close()
-            if self._history is not None:
-                self._history.close()
-        self._writers, self._history, self._rows = {}, None, array("d")
-        self.go_on(state, log)
 
     def _copy_steps(self, domain: str, path: Path, steps: int, log: Callable[[str], None]) -> None:
         part = path.with_suffix(".part")
@@ -186,17 +177,17 @@ class Store:
 
     def close(self) -> None:
         """Close all files. Errors of this are ignored, because a failed write has already raised an error."""
-        with contextlib.suppress(Exception):
-            if self._history is not None:
-                self._history.close()
-        for writer in self._writers.values():
-            with contextlib.suppress(Exception):
-                writer.close()
-        self._writers = {}
-        self._history = None
+        self._close_files()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+    def _close_files(self) -> None:
+        for file in (self._history, *self._writers.values()):
+            with contextlib.suppress(Exception):
+                if file is not None:
+                    file.close()
+        self._writers, self._history, self._rows = {}, None, array("d")
 
     def __enter__(self) -> "Store":
         return self
@@ -208,11 +199,9 @@ class Store:
 class WithoutFields(Store):
     """The folder of a run that needs only a summary: fields and history are not written."""
 
-    def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
-        """Ignore a time step: nothing is written."""
+    def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None: ...
 
-    def record(self, row: Mapping[str, float]) -> None:
-        """Ignore a row of the history: nothing is written."""
+    def record(self, row: Mapping[str, float]) -> None: ...
 
 
 def _line(cells: Iterable[str | float]) -> str:

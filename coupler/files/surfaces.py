@@ -35,13 +35,11 @@ Column = tuple[str, str, str]  # property in PLY: name, type of its values, type
 def read_surface(path: Path) -> Surface:
     """Points (n,3) and triangles (m,3) of a surface in a file, in the unit and the order of the file. Polygons are divided into
     triangles. A file that has only points gives no triangles. Raises InputError, StoreError."""
-    size, kind = check_regular(path), path.suffix.lower()
+    kind = path.suffix.lower()
     if kind not in SURFACES:
         raise InputError(path, f"is not a surface file: its name must end in {', '.join(SURFACES)}")
-    if size > LARGEST_SURFACE:
-        raise InputError(path, f"is larger than {LARGEST_SURFACE // 1024**2} MiB: decimate the surface")
-    require_memory(_MEMORY * size, f"to read {path}")
-    with open_input(path, LARGEST_SURFACE) as stream:
+    require_memory(_MEMORY * check_regular(path, LARGEST_SURFACE), f"to read {path}")
+    with open_input(path) as stream:
         raw = stream.read()
     try:
         return {".stl": _stl, ".obj": _obj, ".ply": _ply}[kind](raw)
@@ -64,9 +62,8 @@ def _stl(raw: bytes) -> Surface:
         if room < 1:
             raise ValueError("it is not a text STL with facets, and too short for a binary STL")
         if not room - 1 <= count <= room:
-            raise ValueError(
-                f"the header states {count} triangles, but the size of the file is that of {room}; {_DAMAGED}"
-            )
+            stated = f"the header states {count} triangles, but the size of the file is that of {room}"
+            raise ValueError(f"{stated}; {_DAMAGED}")
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
     return _triangles(corners, np.arange(len(corners)).reshape(-1, 3).tolist())
 
@@ -159,8 +156,7 @@ def _triangles(x: NDArray[np.float64], polygons: Sequence[Sequence[float]]) -> S
         raise ValueError("it has points that are not numbers")
     for polygon in polygons:
         if len(polygon) < 3 or not (min(polygon) >= 0 and max(polygon) < len(x)):
-            outside = f"with an index outside its {len(x)} points"
-            raise ValueError(f"it has a face of fewer than three points, or {outside}")
+            raise ValueError(f"it has a face of fewer than three points, or with an index outside its {len(x)} points")
     triangles = [triangle for polygon in polygons for triangle in _triangulated([int(i) for i in polygon], x)]
     return x, np.array(triangles, np.int64).reshape(-1, 3)
 

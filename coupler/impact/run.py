@@ -112,7 +112,7 @@ def run_impact(
                 retry = next_retry(retries, options.numerics, error, i + 1, before + impact.time)
                 options.progress.log(str(retry))
                 retries.append(retry)
-                store.go_back(written, options.progress.log)
+                store.go_on(written, options.progress.log)
                 resume_from = None
 
 

@@ -240,11 +240,11 @@ class Adhesion:
         ]
         for name in LAW:
             value = vars(self)[name]
+            if self.criterion == "exposure" and value is None:
+                continue
             if self.criterion == "exposure":
-                if value is not None:
-                    problems.append(
-                        f'{name} has no effect with criterion = "exposure", which uses the oxide films: remove it'
-                    )
+                oxides = "which uses the oxide films: remove it"
+                problems.append(f'{name} has no effect with criterion = "exposure", {oxides}')
             elif self.kind == "cohesive" and value is None and name in ("strength", "energy"):
                 problems.append(f'{name} is missing: it is needed with kind = "cohesive"')
             elif self.kind != "cohesive" and value is not None:
@@ -256,9 +256,8 @@ class Adhesion:
         if self.criterion == "exposure" and self.kind == "tied":
             problems.append('criterion = "exposure" needs kind = "cohesive": tied bonds have no strength')
         if self.threshold is not None and self.criterion in ("all", "exposure"):
-            problems.append(
-                f'threshold has no effect with criterion = "{self.criterion}": leave it out, or choose another criterion'
-            )
+            remedy = "leave it out, or choose another criterion"
+            problems.append(f'threshold has no effect with criterion = "{self.criterion}": {remedy}')
         if self.threshold is not None and not (self.threshold > 0.0 and math.isfinite(self.threshold)):
             problems.append("threshold must be a positive number")
         metals = [frozenset(pair.metals) for pair in self.pairs]
@@ -331,9 +330,7 @@ class Adhesion:
             "all": "where nodes touch",
             "plastic_strain": f"where the plastic strain has reached {reached:g}",
             "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
-            "velocity": "where the velocity reaches "
-            + (f"{reached:g} of " if reached != 1.0 else "")
-            + "the critical one",
+            "velocity": f"where the velocity reaches {f'{reached:g} of ' if reached != 1.0 else ''}the critical one",
         }
         own = "".join(f"; {' on '.join(pair.metals)} by their own law" for pair in self.pairs)
         return f"{text}, {where[self.criterion]}{own}"

@@ -97,19 +97,13 @@ class Material:
     @property
     def forest(self) -> tuple[float, float]:
         """Constants A and B, Pa, of Taylor's relation (`physics.dislocations`); both are zero if the metal has no `taylor_alpha`."""
-        known = self.hardened_by_gradients
-        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if known else (0.0, 0.0)
+        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if self.taylor_alpha else (0.0, 0.0)
 
     @property
     def gradient_length(self) -> float:
         """The length r b, m. A gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix &
         Hutchinson (1999), J. Mech. Phys. Solids 47, 1239). It is zero if the metal has no `taylor_alpha`."""
-        return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
-
-    @property
-    def hardened_by_gradients(self) -> bool:
-        """Whether gradients of plastic strain can harden the metal."""
-        return self.taylor_alpha > 0.0
+        return NYE_FACTOR * (self.burgers or 0.0) if self.taylor_alpha else 0.0
 
     @property
     def is_ceramic(self) -> bool:
@@ -294,10 +288,9 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
     if strength.numbers.get("C_high", 0.0) > 0.0 and strength["eps_dot_high"] < strength["eps_dot_0"]:
         high, low = strength["eps_dot_high"], strength["eps_dot_0"]
-        problems.append(
-            f"eps_dot_high ({high:g} 1/s) must not be below eps_dot_0 ({low:g} 1/s): the metal would soften with the rate"
-        )
-    if metal.hardened_by_gradients and metal.burgers is None:
+        why = "the metal would soften with the rate"
+        problems.append(f"eps_dot_high ({high:g} 1/s) must not be below eps_dot_0 ({low:g} 1/s): {why}")
+    if metal.taylor_alpha and metal.burgers is None:
         problems.append("taylor_alpha needs the Burgers vector: give also burgers")
     if metal.is_ceramic and metal.tensile_limit is None and "tensile_limit" not in table:
         problems.append(
@@ -365,9 +358,8 @@ def from_scene(
             if base_name is not None:
                 base = known[base_name].with_set(str(choice)) if choice else known[base_name].material
             elif choice and "strength" in table:
-                raise ValueError(
-                    f'{str(choice)[:40]!r}: needs a material of the library to start from, such as base = "Ni"'
-                )
+                needs = 'needs a material of the library to start from, such as base = "Ni"'
+                raise ValueError(f"{str(choice)[:40]!r}: {needs}")
             metal = from_table(name if name in tables or base is None else base.name, rest, base)
             if base is not None and rest and "source" not in rest:
                 metal = replace(metal, source=f"{base.source}; changed in the scene: {', '.join(rest)}")

@@ -54,7 +54,7 @@ class Recovery:
 def recovery_of(metal: Material) -> Recovery | None:
     """The static recovery of a metal; None if it lacks D_v, Q_v, D_c or Q_c, or the data of Taylor's relation."""
     known = metal.D_v, metal.Q_v, metal.D_c, metal.Q_c
-    if None in known or not metal.hardened_by_gradients or metal.burgers is None:
+    if None in known or not metal.taylor_alpha or metal.burgers is None:
         return None
     D_v, Q_v, D_c, Q_c = (float(number) for number in known if number is not None)
     (A, B), b = metal.forest, metal.burgers

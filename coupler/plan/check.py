@@ -79,7 +79,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     if scene.resolution.engine == "machdyn" and asked:
         text = "it computes no gradients of plastic strain (gradient_hardening): use enriched or compiled"
         yield ("resolution.engine", "effects"), f"resolution.engine = machdyn: {text}"
-    if asked and known and not any(metal.hardened_by_gradients for metal in known):
+    if asked and known and not any(metal.taylor_alpha for metal in known):
         names = sorted({metal.name for metal in known})
         text = f"effects: gradient_hardening needs taylor_alpha and burgers of {' or '.join(names)}"
         yield ("effects", *(f"materials.{name}" for name in names)), text

@@ -80,7 +80,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
     hardened = max(impact.initial_strain for impact in plan.impacts)
     powder = f"initial plastic strain {hardened:.3g}" if hardened > 0.0 else "as hard as in its strength set"
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; powder {powder}"}
-    hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]
+    hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.taylor_alpha]
     if plan.effects.gradient_hardening and hard:
         texts["strength"] += f"; gradients of plastic strain harden {', '.join(hard)}"
     if not brief:

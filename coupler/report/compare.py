@@ -29,12 +29,8 @@ CURVES = (
 def names_of(results: Sequence[Result]) -> list[str]:
     """A short name for each run: the last parts of its folder's path that differ from the others."""
     folders = [result.directory.resolve().parts for result in results]
-    longest = max(len(folder) for folder in folders)
-    for length in range(1, longest):
-        names = ["/".join(folder[-length:]) for folder in folders]
-        if len(set(names)) == len(set(folders)):
-            return names
-    return ["/".join(folder) for folder in folders]
+    each = (["/".join(folder[-length:]) for folder in folders] for length in range(1, max(map(len, folders)) + 1))
+    return next(names for names in each if len(set(names)) == len(set(folders)))
 
 
 def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
@@ -162,12 +158,10 @@ def _sections(
     half = max((right - left) / 2 for left, right, _, _ in own)
     low = min(bottom - at.level for (_, _, bottom, _), at in zip(own, stages, strict=True))
     high = max(top - at.level for (_, _, _, top), at in zip(own, stages, strict=True))
-    sections = []
-    for result, step, at, (left, right, _, _) in zip(results, steps, stages, own, strict=True):
-        middle = (left + right) / 2
-        seen = (middle - half, middle + half, at.level + low, at.level + high)
-        sections.append(picture.cross_section(result, step, names, at, seen))
-    return sections, (half, low, high)
+    middles = ((left + right) / 2 for left, right, _, _ in own)
+    seen = [(x - half, x + half, at.level + low, at.level + high) for x, at in zip(middles, stages, strict=True)]
+    each = zip(results, steps, stages, seen, strict=True)
+    return [picture.cross_section(result, step, names, at, here) for result, step, at, here in each], (half, low, high)
 
 
 def _change(before: object, after: object, *errors: float | None) -> str:

@@ -116,19 +116,16 @@ def each_impact(summary: Summary) -> str:
     return side_by_side(groups, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
 
 
-COLD_ROWS = (
-    ("T_max_before_K", "highest temperature before cooling to ambient"),
-    ("ambient_K", "ambient"),
-    ("overlap_m", "deepest overlap of bodies"),
-)
-
-
 def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
-    """Results of the closing stage: the rows COLD_ROWS, and the lines of `coating` about stress."""
-    closing = summary.get("closing", {})
-    known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
-    stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]
-    return definitions([*stress, *((label, f"{value * m.factor:.4g} {m.unit}") for m, label, value in known)])
+    """Results of the closing stage, and the lines of `coating` about stress."""
+    closing, lines = summary.get("closing", {}), [c for c in coating if "stress" in c[0] or c[0] == "measured"]
+    for key, label in (
+        ("T_max_before_K", "highest temperature before cooling to ambient"), ("ambient_K", "ambient"),
+        ("overlap_m", "deepest overlap of bodies"),
+    ):  # fmt: skip
+        if key in closing:
+            lines.append((label, f"{closing[key] * measure(key).factor:.4g} {measure(key).unit}"))
+    return definitions(lines)
 
 
 def properties(result: Result) -> str:

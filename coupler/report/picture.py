@@ -111,14 +111,11 @@ def stage(result: Result) -> Stage:
     plane = _best_plane(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
     void = VOID * (volume / max(len(particle.points), 1)) ** (1 / 3)
     top, low, high = float(target.points[:, 2].max()) * MICRO, start[:, 0].min() * MICRO, start[:, 0].max() * MICRO
-    loops = (
-        loop[[*range(len(loop)), 0]] * MICRO
-        for loop in section_loops(target.points, boundary_faces(target.cells)[0], plane)
-    )
-    ground = tuple(loops)
+    loops = section_loops(target.points, boundary_faces(target.cells)[0], plane)
+    ground = tuple(np.vstack([loop, loop[:1]]) * MICRO for loop in loops)
     under = [line[(line[:, 0] >= low) & (line[:, 0] <= high), 1].max(initial=-np.inf) for line in ground]
-    level = max(under, default=-np.inf)
-    level = float(level) if np.isfinite(level) else top
+    level = float(max(under, default=-np.inf))
+    level = level if np.isfinite(level) else top
     return Stage(plane, level, float(high - low), void, top, ground, phases_of(result.plan))
 
 
@@ -130,8 +127,7 @@ def _best_plane(plan: Values, first: float) -> float:
     except (KeyError, TypeError, IndexError, ValueError):  # no readable plan
         return first
     crossed = [sum(abs(y - plane) < 0.4 * diameter for y, diameter in impacts) for plane, _ in impacts]
-    best = int(np.argmax(crossed)) if crossed else 0
-    return impacts[best][0] if best else first
+    return impacts[best][0] if (best := int(np.argmax([*crossed, 0]))) else first
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
@@ -199,10 +195,8 @@ def section_of_surfaces(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.
     the substrate, which is all False if there are no splats."""
     skin, owner = boundary_faces(target.cells)
     splat = _of_splats(target)[owner]
-    parts = [
-        crossing(target.points, section_of_triangles(target.points, skin[which], at.plane), at.plane)[0] * MICRO
-        for which in (~splat, splat)
-    ]
+    lines = (section_of_triangles(target.points, skin[which], at.plane) for which in (~splat, splat))
+    parts = [crossing(target.points, line, at.plane)[0] * MICRO for line in lines]
     is_substrate = np.repeat([len(parts[1]) > 0, False], [len(part) for part in parts])
     return np.concatenate(parts), is_substrate
 
@@ -271,10 +265,8 @@ def _images(
 def colour_range(sections: Sequence[CrossSection], name: str) -> Range:
     """The limits of the colour scale of a field for all cross-sections together."""
     field = FIELDS[name]
-    parts = [
-        part[np.isfinite(part)] for section in sections for part in (section.values[name], section.images[name])
-    ]  # without voids
-    parts = [part for part in parts if part.size]
+    each = (part for section in sections for part in (section.values[name], section.images[name]))
+    parts = [metal for part in each if (metal := part[np.isfinite(part)]).size]  # without voids
     low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
     # The percentile of each body limits the influence of a few points at an edge, and of one body on the other
     high = max([*(float(np.percentile(part, 99.5)) for part in parts), low + field.least_range])
@@ -310,8 +302,9 @@ def draw(axis: Axes, section: CrossSection, name: str, ends: Range) -> None:
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
     widths = np.where(section.is_substrate, 2.2, 1.0)
-    rim = LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
-    axis.add_collection(rim)
+    axis.add_collection(
+        LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
+    )
     if section.loops:
         outline = outline_of(section.loops)
         image, extent = section.images[name], section.extent

@@ -106,9 +106,8 @@ def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
     low, high = (np.array([end(skin, axis=0) for skin in skins]) for end in (np.min, np.max))
     plane, D = at.plane * MICRO, at.diameter
     half = max(plane - low[:, 1].min(), high[:, 1].max() - plane) + 0.9 * D
-    return np.array(
-        [[low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D], [high[:, 0].max() + 0.9 * D, plane + half, top]]
-    )
+    least = low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D
+    return np.array([least, (high[:, 0].max() + 0.9 * D, plane + half, top)])
 
 
 def _reaches_into(corners: NDArray, box: NDArray) -> NDArray:
@@ -179,7 +178,7 @@ def _colours(name: str, ends: Range, least: float, span: float) -> dict[str, obj
     field = FIELDS[name]
     scale = [[k / 16, to_hex(colormaps[field.colours](k / 16))] for k in range(17)]
     words = {"name": name, "label": field.label, "unit": field.unit, "colours": scale}
-    return words | {"low": ends.low, "high": ends.high, "least": least, "span": span}
+    return {**words, "low": ends.low, "high": ends.high, "least": least, "span": span}
 
 
 def _frame(

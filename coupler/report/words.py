@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from numpy.typing import NDArray
 from rich.table import Table
@@ -181,17 +182,15 @@ def _come_off(records: Sequence[Block]) -> list[str]:
     parts = [number for number, share in shares.items() if share < _WHOLE]
     verbs = "sticks at its impact and has" if len(stuck) == 1 else "stick at their impact and have"
     texts = [f"{_numbers(stuck)} {verbs} come off later"] if stuck else []
-    verb = "has" if len(others) == 1 else "have"
-    texts += [f"{_numbers(others)} {verb} come off after the impact"] if others else []
+    texts += [f"{_numbers(others)} {'has' if len(others) == 1 else 'have'} come off after the impact"] if others else []
     return texts + ([f"parts of {_numbers(parts)} have come off later"] if parts else [])
 
 
 def _decided_by(records: Sequence[Block]) -> list[str]:
     """Text line: how many verdicts each method decides; empty if the records do not name the method."""
     each = [str(by) for record in records if (by := record.get("verdict_by"))]
-    texts = [
-        f"{each.count(by)} by {VERDICT_BY.get(by, by)}" for by in dict.fromkeys([*VERDICT_BY, *each]) if by in each
-    ]
+    order = [by for by in dict.fromkeys([*VERDICT_BY, *each]) if by in each]
+    texts = [f"{each.count(by)} by {VERDICT_BY.get(by, by)}" for by in order]
     unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
     texts += [f"{unsettled} still in contact at the end"] if unsettled else []
     return [f"verdicts: {', '.join(texts)}"] if texts else []
@@ -242,12 +241,8 @@ def remarks(summary: Summary) -> list[str]:
 
 def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
     """Ascending numbers as text: [1, 2, 3, 5] gives "particles 1 to 3, 5"."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
+    # within a run of successive numbers, the difference from their position is constant
+    runs = [[number for _, number in run] for _, run in groupby(enumerate(numbers), lambda each: each[1] - each[0])]
     text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
     return f"{name}{'s' * (len(numbers) > 1)} {text}"
 
