@@ -47,8 +47,7 @@ def extent(corners: Floats, direction: Floats) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _level(share: float, low: float, high: float, whole: float, height: Floats, shade: Floats) -> float:
-    """Height (m), between low and high, of the plane that has a given share of the volume `whole` (m3) below it. Illinois variant of
-    false position (Dowell & Jarratt 1971, BIT 11, 168)."""
+    """Height (m) of the plane with a share of the volume `whole` (m3) below it (Illinois: Dowell & Jarratt 1971, BIT 11, 168)."""
     a, f_a, b, f_b = low, -share, high, 1.0 - share
     for _ in range(100):
         z = (a * f_b - b * f_a) / (f_b - f_a)

@@ -101,8 +101,7 @@ def applied(a: Matrix, x: float, y: float, z: float) -> Vector:
 
 @njit(cache=True, nogil=True, inline="always")
 def eigenvalue(a: float, b: float, c: float, d: float, e: float, f: float, which: float) -> float:
-    """The LARGEST or SMALLEST eigenvalue (argument `which`) of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]], by a closed
-    formula."""
+    """The LARGEST or SMALLEST (`which`) eigenvalue of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]], by a closed formula."""
     mean = (a + b + c) / 3.0
     off = f * f + e * e + d * d
     spread = sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)

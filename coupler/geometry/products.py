@@ -50,8 +50,7 @@ def _iterate(
     team: Ints, indptr: Ints, indices: Ints, data: Floats, inverse: Floats, beta: float, rz: float, x: Floats, r: Floats, p: Floats,
     q: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """One iteration of `solve`. Writes to sums (PARTS,3), for each part of the rows: p . A p, and r . z and r . r of the new
-    residual."""
+    """One iteration of `solve`. Writes p . A p, and r . z and r . r of the new residual, of each part of the rows to sums (PARTS,3)."""
     for lo, hi, _ in ranges(team, 0, len(x), LEAST):
         for i in range(lo, hi):
             p[i] = inverse[i] * r[i] + beta * p[i]
@@ -101,8 +100,7 @@ def products_of_rows(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats
 def combine_both(
     team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats, zero: Floats
 ) -> None:
-    """Write W x, W v and zero to the given rows of out_x, out_v and `zero` (k,3), in all threads. x, v (n,3); W: sparse matrix, given
-    by start (k+1,), columns, weights (CSR)."""
+    """Write W x, W v and zero to the given rows of out_x, out_v, `zero` (k,3); x, v (n,3); W: start (k+1,), columns, weights (CSR)."""
     start, columns, weights = W
     for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
         for r in rows[lo:hi]:

@@ -86,9 +86,7 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
         edges, length = _edges(x, t)
         pick = np.flatnonzero(length < short)
         pick = pick[_shortest_first(length[pick], short)]
-        start, table = _around(t, len(x))
-        done = _collapse(x, t, start, table, edges[pick], longest)
-        if done == 0:
+        if _collapse(x, t, *_around(t, len(x)), edges[pick], longest) == 0:
             break
         x, t = compact(x, t[t[:, 0] >= 0])
     return x, t
@@ -97,8 +95,7 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
 @njit(cache=True, nogil=True)
 def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
     """Whether triangle f rotates too much, or loses its area, if its corner `old` moves to p."""
-    c = np.empty((3, 3))
-    d = np.empty((3, 3))
+    c, d = np.empty((3, 3)), np.empty((3, 3))
     for k in range(3):
         c[k] = x[t[f, k]]
         d[k] = p if t[f, k] == old else x[t[f, k]]
@@ -178,9 +175,7 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray
         pick = np.flatnonzero(length > longest)
         if len(pick) == 0:
             break
-        pick = edges[pick[_shortest_first(-length[pick], longest)]]
-        start, table = _around(t, len(x))
-        x, t = _split(x, t, start, table, pick)
+        x, t = _split(x, t, *_around(t, len(x)), edges[pick[_shortest_first(-length[pick], longest)]])
     return x, t
 
 
@@ -215,9 +210,7 @@ def _split(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> tuple[F
 
 def _flip_all(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(8):
-        edges, _ = _edges(x, t)
-        start, table = _around(t, len(x))
-        if _flip(x, t, start, table, edges) == 0:
+        if _flip(x, t, *_around(t, len(x)), _edges(x, t)[0]) == 0:
             break
     return x, t
 
@@ -260,9 +253,8 @@ def _flip(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> int:
         t[f, 0], t[f, 1], t[f, 2] = u, b, a
         t[g, 0], t[g, 1], t[g, 2] = v, a, b
         touched[f] = touched[g] = True
-        valence[u] -= 1
-        valence[v] -= 1
-        valence[a] += 1
-        valence[b] += 1
+        for less, more in ((u, a), (v, b)):
+            valence[less] -= 1
+            valence[more] += 1
         done += 1
     return done

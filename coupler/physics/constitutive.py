@@ -61,31 +61,24 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
     state; the work of compression is. Two effects are off by default: heat of the numerical dissipation ("dissipation_heat"), which is
     not a property of the metal, and hardening by gradients ("gradient_hardening").
     """
-    effects = dict(on or {})
-
-    def active(name: str) -> bool:
-        return effects.get(name, True)
-
-    law = np.zeros(1, LAW)
-    r = law[0]
-    for name in ("rho", "G", "K"):
-        r[name] = getattr(material, name)
-    softens, rate_hardens = active("thermal_softening"), active("rate_hardening")
-    for name, value in material.strength.fields(material.T_m, material.rho, softens, rate_hardens).items():
-        r[name] = value
-    if active("mie_gruneisen"):
-        r["s"], r["Gamma0"] = material.s, material.Gamma0
-    r["taylor_quinney"] = material.taylor_quinney if active("plastic_heating") else 0.0
+    is_on = dict.fromkeys(SWITCHES, True) | {"dissipation_heat": False, "gradient_hardening": False} | dict(on or {})
+    numbers = material.strength.fields(material.T_m, material.rho, is_on["thermal_softening"], is_on["rate_hardening"])
+    numbers |= {"rho": material.rho, "G": material.G, "K": material.K, "rate_filter": rate_filter}
+    if is_on["mie_gruneisen"]:
+        numbers |= {"s": material.s, "Gamma0": material.Gamma0}
     for name, table in (("cp", material.cp), ("k", material.k)):
         (T0, v0), (T1, v1) = table[0], table[-1]
-        varies = T1 > T0 and active(f"temperature_dependent_{name}")
-        r[f"{name}_T0"], r[f"{name}_T1"], r[f"{name}_0"] = T0, max(T1, T0), v0
-        r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
-    r["forest"], r["forest_slope"] = material.forest
-    r["gradient_length"] = material.gradient_length if effects.get("gradient_hardening") else 0.0
-    r["rate_filter"] = rate_filter
-    r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
-    r["dissipation"] = 1.0 if effects.get("dissipation_heat") else 0.0
+        varies = T1 > T0 and is_on[f"temperature_dependent_{name}"]
+        slope = (v1 - v0) / (T1 - T0) if varies else 0.0
+        numbers |= {f"{name}_T0": T0, f"{name}_T1": max(T1, T0), f"{name}_0": v0, f"{name}_slope": slope}
+    numbers["forest"], numbers["forest_slope"] = material.forest
+    numbers["taylor_quinney"] = material.taylor_quinney if is_on["plastic_heating"] else 0.0
+    numbers["gradient_length"] = material.gradient_length if is_on["gradient_hardening"] else 0.0
+    numbers["expansion"] = 1.0 if is_on["thermal_expansion"] else 0.0
+    numbers["dissipation"] = 1.0 if is_on["dissipation_heat"] else 0.0
+    law = np.zeros(1, LAW)
+    for name, value in numbers.items():
+        law[0][name] = value
     return law
 
 
@@ -283,8 +276,7 @@ def bulk_stiffness(law: Law, J: float) -> float:
 @njit(cache=True)
 def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
     """`pressure` (n,) Pa: LAW record laws (1,), J (n,), energy (n,) J per reference m3."""
-    law = laws[0]
-    p = np.empty(len(J))
+    law, p = laws[0], np.empty(len(J))
     for i in range(len(J)):
         p[i] = pressure(law, J[i], energy[i])
     return p

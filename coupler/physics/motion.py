@@ -1,5 +1,4 @@
-"""Operations on positions, velocities and forces for both domains. Arrays have the shape (n,3); a kernel works on rows [lo, hi). SI
-units (numba)."""
+"""Operations on positions, velocities and forces (n,3) for both domains. A kernel works on rows [lo, hi). SI units (numba)."""
 
 from ..compiling import njit
 from ..core.arrays import Bools, Floats, Ints, Vector
@@ -57,8 +56,7 @@ def book_all(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: F
 
 @njit(cache=True, nogil=True)
 def begin_step(lo: int, hi: int, dt: float, mass: Floats, f: Floats, x: Floats, v: Floats, ahead: Floats) -> None:
-    """First part of a velocity Verlet step, as `fix smd/integrate_tlsph` of LAMMPS: v at n+1/2, x at n+1, and an estimate of the
-    velocity at n+1 in `ahead`."""
+    """First part of a velocity Verlet step (`fix smd/integrate_tlsph`): v at n+1/2, x at n+1, estimate of v at n+1 in `ahead`."""
     for a in range(lo, hi):
         half = 0.5 * dt / mass[a]
         for d in range(3):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import erf, exp, inf, log, pi, sqrt
 from types import SimpleNamespace
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -115,8 +115,7 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of a law. unit: "" for a number without unit; low, high: limits in SI units; default: None if the constant is
-    required."""
+    """A constant of a law. unit: "" for a plain number; low, high: limits in SI units; default: None if the constant is required."""
 
     unit: str
     low: float
@@ -236,30 +235,28 @@ class Fitted:
 
     @classmethod
     def read(cls, value: object) -> "Fitted":
-        """Read a range such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K"], strain = 0.5 }; all keys are optional. Raises
-        ValueError with the problem."""
+        """Read a range { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K"], strain = 0.5 }, all optional. Raises ValueError."""
         if not isinstance(value, Mapping) or not set(value) <= {"rate", "temperature", "strain"}:
             raise ValueError("must be a table of rate, temperature, strain")
-        ranges: dict[str, tuple[float, float] | None] = {"rate": None, "temperature": None}
-        for key, unit, low, high in (("rate", "1/s", 0.0, 1e13), ("temperature", "K", 0.0, 5000.0)):
+        found: dict[str, Any] = {}
+        for key, unit, high in (("rate", "1/s", 1e13), ("temperature", "K", 5000.0)):
             if key in value:
                 pair = value[key]
                 if not isinstance(pair, list) or len(pair) not in (1, 2):
-                    raise ValueError(
-                        f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or only the first of them'
-                    )
-                first, last = [*(library.read_number(end, unit, low, high) for end in pair), inf][:2]
+                    example = f'such as ["1 {unit}", "1000 {unit}"], or only the first of them'
+                    raise ValueError(f"{key} must be two values, {example}")
+                first, last = [*(library.read_number(end, unit, 0.0, high) for end in pair), inf][:2]
                 if first > last:
                     raise ValueError(f"{key} must have the smaller value first")
-                ranges[key] = (first, last)
-        strain = library.read_number(value["strain"], "", 0.0, 20.0) if "strain" in value else None
-        return cls(ranges["rate"], ranges["temperature"], strain)
+                found[key] = first, last
+        if "strain" in value:
+            found["strain"] = library.read_number(value["strain"], "", 0.0, 20.0)
+        return cls(**found)
 
 
 @dataclass(frozen=True)
 class Strength:
-    """A set of constants of a strength law. numbers: SI values by name; set: name of the set in the library, "" for a set given in a
-    scene; fitted: range of validity."""
+    """A set of constants of a law. numbers: SI values by name; set: name in the library, "" of one of a scene; fitted: valid range."""
 
     law: str
     numbers: dict[str, float] = field(hash=False)
@@ -277,8 +274,7 @@ class Strength:
         return f"{self.law} ({self.set})" if self.set else self.law
 
     def fields(self, T_m: float, rho: float, softens: bool = True, rate_hardens: bool = True) -> dict[str, float]:
-        """The constants as fields of a LAW record. T_m: melting point, K; rho: density, kg/m3; softens, rate_hardens: whether heat
-        softens and strain rate hardens."""
+        """The constants as fields of a LAW record. T_m: K; rho: kg/m3; softens, rate_hardens: whether heat softens and rate hardens."""
         values = dict.fromkeys((*FIELDS, *LAWS), 0.0) | self.numbers
         values |= {self.law: 1.0, "T_m": T_m, "softening": float(softens)}
         values["rate_limit"] = 1e30 if rate_hardens else values["eps_dot_0"]
