@@ -19,7 +19,6 @@ _NAMES = ("scene.toml", "accuracy.csv", "accuracy.png")
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = options.add_study(
         commands, "accuracy", run, "compute a scene at several numbers of points: accuracy against time"
     )

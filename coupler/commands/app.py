@@ -10,7 +10,6 @@ from .arguments import Commands, add_command, path
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "app", run, "open a local web page with forms, runs and results")
     option("folder", type=path, nargs="?", default=Path(), metavar="DIR",
            help="folder of the scenes; results are in DIR/runs (default: this folder)")  # fmt: skip

@@ -18,7 +18,6 @@ _FORMS = (("eps_p", 14, ".2f", 1.0), ("T", 13, ".0f", 1.0), ("von_mises", 23, ".
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = "measure a coating: thickness, roughness, porosity, stress along the depth"
     option = options.add_command(commands, "coating", run, text)
     option("run", type=options.path, metavar="DIR", help="folder of a run of several impacts, finished or not")
@@ -34,7 +33,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..files.result import Result
     from ..plan.reading import Scene
     from ..report.picture import stage

@@ -14,7 +14,6 @@ _LIMITS = "10 m/s", "2000 m/s"  # as of particle.velocity in a scene
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = "compute the critical velocity: the lowest velocity at which a particle with cohesive bonds sticks"
     option = options.add_study(commands, "critical", run, text)
     option(

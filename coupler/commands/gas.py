@@ -28,7 +28,6 @@ _NAMES = re.compile(rf"^({'|'.join(_OPTIONS)})\b")
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "gas", run, "impact velocity and temperature from gas, nozzle and particle diameter")
     add_conditions(option)
     option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='particle diameters, such as "25 um" "22 um"')
@@ -59,7 +58,6 @@ def add_library(option: Option) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     flow, metals, diameters, fly = setup(arguments)
     material = metals[arguments.material]
     flights = fly(material, diameters)

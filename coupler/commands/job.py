@@ -9,7 +9,6 @@ from .arguments import Commands, add_command, add_jobs, add_quiet, continuing, j
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(
         commands, "job", run, "compute, in a given time, one page that says whether a powder sticks to a substrate"
     )

@@ -16,7 +16,6 @@ DRAWN = QUANTITIES[:4]
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "map", run, "draw maps of the results of a sweep, or of any folder with runs")
     text = "folder of a sweep, finished or not, or any folder with folders of runs"
     option("folder", type=path, metavar="DIR", help=text)
@@ -32,7 +31,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..studies import map_figures, maps, runs_table
 
     if kind_of(arguments.folder) == "run":

@@ -15,7 +15,6 @@ _STATES = ((0.2, 1e3, 300.0), (0.2, 1e7, 300.0), (0.2, 1e7, 600.0))  # plastic s
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "materials", run, "show metals of the library, their strength sets and sources")
     option("name", nargs="?", metavar="NAME", help="name of the metal to show (default: list all metals)")
     option("--import", type=path, dest="table", metavar="FILE",

@@ -28,7 +28,6 @@ _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "mesh", run, "convert points, from a run or from a file, to a mesh of tetrahedra")
     text = "folder of a run, or a file of points: .csv, .xyz, .npz, or any format of meshio"
     option("cloud", type=path, metavar="CLOUD", help=text)
@@ -47,7 +46,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     from ..splat.convert import convert
 
     source: Path = arguments.cloud
@@ -141,9 +139,8 @@ def of_file(
             hint = "the volume depends on the spacing: give --spacing if you know it"
             notes.append(f"the spacing is estimated: {rounded(spacing, 'um')} ({hint})")
         if spacing > _MOST_SPACING:
-            notes.append(
-                f"the points are {spacing:.3g} m apart, which is too far for a particle: give the unit of the file, such as --unit um"
-            )
+            hint = "give the unit of the file, such as --unit um"
+            notes.append(f"the points are {spacing:.3g} m apart, which is too far for a particle: {hint}")
     if volume is None:
         volume = np.full(len(x), spacing**3)
     index, left_out = cleaned(x, spacing)
@@ -214,11 +211,10 @@ def write(path: Path, splat: "Splat") -> None:
     import numpy as np
 
     from ..core.records import rows_of
+    from ..geometry.triangles import together
     from ..physics.metal import MetalState
 
-    offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
-    points = np.concatenate([body.points for body in splat.bodies])
-    tets = np.concatenate([body.tets + at for body, at in zip(splat.bodies, offsets, strict=False)])
+    points, tets = together([(body.points, body.tets) for body in splat.bodies])
     each, is_core = [len(body.tets) for body in splat.bodies], [body.is_core for body in splat.bodies]
     cells: dict[str, np.ndarray] = {"body": np.repeat(np.arange(len(each)), each)}
     if any(is_core):

@@ -39,7 +39,6 @@ EXAMPLES = {  # of workflows/; a wheel has them inside the package (pyproject.to
 
 
 def add(commands: Commands) -> None:
-    """Add the commands to a parser's subcommands."""
     option = add_command(commands, "new", new, "write an example scene with comments")
     option(
         "kind", nargs="?", choices=(*KINDS, *EXAMPLES), metavar="KIND", help=f"{', '.join(KINDS)}, or an example name"
@@ -113,9 +112,8 @@ def schema(arguments: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_text(claim_file(arguments.out, (".json",), force=arguments.force), text)
-        print(
-            f"schema written to {arguments.out}; an editor uses it if the first line of a scene is: #:schema {arguments.out}"
-        )
+        hint = f"an editor uses it if the first line of a scene is: #:schema {arguments.out}"
+        print(f"schema written to {arguments.out}; {hint}")
     return 0
 
 

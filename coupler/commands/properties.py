@@ -25,7 +25,6 @@ ALMEN = 31.75e-3  # m: distance of the feet of an Almen gauge
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = (
         "compute Young's modulus, thermal and electrical conductivity, strength and strip curvature of a cold coating"
     )
@@ -52,7 +51,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Execute the command. Returns the exit code. Raises ColdsprayError for an error that the user can correct."""
     from rich.console import Console
 
     from ..files.result import Result

@@ -21,7 +21,6 @@ OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     option = add_command(commands, "sweep", run, "compute the points of a sweep that are not finished")
     text = "file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
     option("sweep", type=path, metavar="FILE", help=text)
@@ -47,7 +46,6 @@ def _slurm_option(text: str) -> tuple[str, str]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..core.executors import executor
     from ..studies.runs import of_another_scene, run_points
     from ..studies.sweep import Sweep
@@ -55,15 +53,12 @@ def run(arguments: argparse.Namespace) -> int:
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
     if arguments.slurm and arguments.executor != "slurm":
-        raise ColdsprayError(
-            f"--slurm: the executor is {arguments.executor}: leave --slurm out, or give --executor slurm"
-        )
+        remedy = "leave --slurm out, or give --executor slurm"
+        raise ColdsprayError(f"--slurm: the executor is {arguments.executor}: {remedy}")
     claim_folder(out, "sweep", OUTPUTS, force=None)
     if (others := of_another_scene(out, sweep.points)) and not arguments.force:
-        raise StoreError(
-            f"{out} holds results of {len(others)} points, such as {others[0]}, for another scene: name another folder with"
-            " --out, or compute all points again with --force"
-        )
+        there = f"{out} holds results of {len(others)} points, such as {others[0]}, for another scene"
+        raise StoreError(f"{there}: name another folder with --out, or compute all points again with --force")
     here = arguments.executor == "processes"
     jobs = jobs_of(arguments) if here else arguments.jobs or 1
     pool = executor(arguments.executor, jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)

@@ -9,7 +9,6 @@ from .arguments import Commands, add_command, add_force, add_quiet, path, remake
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = "cross-section of one pass of the gun and of a raster; waviness over step"
     option = add_command(commands, "track", run, text)
     option("track", type=path, metavar="FILE", help="file of a track (TOML, coldspray new track NAME) or of a job")
@@ -19,7 +18,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..plan.job import read
     from ..scene.job import TrackData
     from ..studies import track as study

@@ -18,7 +18,6 @@ _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", 
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = "show measures, energies and remaining time of a running run; writes nothing into its folder"
     option = add_command(commands, "watch", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run")
@@ -89,9 +88,8 @@ def state(result: "Result") -> str:
     lines = [last_lines(result.directory / "run.log")]
     age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
     if age > SILENT:
-        lines.append(
-            f"no new data for {age:.0f} s: if the run was stopped, coldspray resume {result.directory} continues it"
-        )
+        remedy = f"if the run was stopped, coldspray resume {result.directory} continues it"
+        lines.append(f"no new data for {age:.0f} s: {remedy}")
     if not len(history.get("time", ())):
         return "\n".join([*lines, "no time step is written yet"])
     lines += [f"  {label:30} {value} {unit}" for label, value, unit in last_row(history)]

@@ -18,11 +18,18 @@ if TYPE_CHECKING:
     from ..physics.materials import Material
     from ..spray.window import Spray
 
-COLUMNS = ("share", "diameter_um", "velocity_m_s", "temperature_K", "critical_velocity_m_s", "velocity_ratio")
+COLUMNS = (
+    "share",
+    "diameter_um",
+    "velocity_m_s",
+    "temperature_K",
+    "critical_velocity_m_s",
+    "velocity_ratio",
+    "version",
+)
 
 
 def add(commands: Commands) -> None:
-    """Add the command to a parser's subcommands."""
     text = "compare impact velocities of a powder with its deposition window; estimate the deposition efficiency"
     option = add_command(commands, "window", run, text)
     gas.add_conditions(option)
@@ -38,7 +45,6 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an error of the user."""
     from ..spray import window
     from ..spray.sizes import Sizes
 
@@ -88,18 +94,16 @@ def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
     from ..spray.window import ERODES, EROSION
 
     fates = spray.fates(factor)
-    return (
-        f"{fates[STICKS]:.0%}; {fates[REBOUNDS]:.0%} of the mass is below the critical velocity, {fates[ERODES]:.0%} above the erosion"
-        f" velocity ({EROSION:g} times the critical one)"
-    )
+    below = f"{fates[REBOUNDS]:.0%} of the mass is below the critical velocity"
+    above = f"{fates[ERODES]:.0%} above the erosion velocity ({EROSION:g} times the critical one)"
+    return f"{fates[STICKS]:.0%}; {below}, {above}"
 
 
 def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
     values = spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
-    rows = [
-        dict(zip(COLUMNS, map(float, row), strict=True)) | {"version": __version__} for row in zip(*values, strict=True)
-    ]
-    write_rows(arguments.csv, (*COLUMNS, "version"), rows, f"{MARK} window; {remake(arguments)}")
+    rows = ([*map(float, row), __version__] for row in zip(*values, strict=True))
+    table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+    write_rows(arguments.csv, COLUMNS, table, f"{MARK} window; {remake(arguments)}")
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
