@@ -118,10 +118,9 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
     """Raise OtherVersion if a header has another format, or another value for a key of `about`."""
     its, again = dict(header["about"]), "or start the run again with coldspray run --force"
     if header["format"] != FORMAT:
-        raise OtherVersion(
-            f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, but this version"
-            f" reads format {FORMAT}: continue with that version, {again}"
-        )
+        by = f"coldspray {_short(its.get('version'))} in format {_short(header['format'])}"
+        ours = f"this version reads format {FORMAT}: continue with that version, {again}"
+        raise OtherVersion(f"{path} was written by {by}, but {ours}")
     for key, wanted in about.items():
         if its.get(key) != wanted:
             other = f"another {key} ({_short(its.get(key))}, now {_short(wanted)})"

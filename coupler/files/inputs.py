@@ -38,11 +38,11 @@ class InputError(StoreError):
     """Error: a file cannot be read. reason: text without the name of the file."""
 
     def __init__(self, path: str | Path, reason: str):
-        self.path, self.reason = path, reason
-        super().__init__(f"{path} {reason}")
+        super().__init__(path, reason)
+        self.reason = reason
 
-    def __reduce__(self) -> tuple[type["InputError"], tuple[str | Path, str]]:
-        return type(self), (self.path, self.reason)
+    def __str__(self) -> str:
+        return f"{self.args[0]} {self.reason}"
 
 
 def check_regular(path: str | Path, limit: int | None = None) -> int:
@@ -225,10 +225,9 @@ def free_memory() -> int:
 def require_memory(needed: float, purpose: str) -> None:
     """Raise StoreError if `needed` bytes are not free. purpose: for the message, such as "to read cloud.npz"."""
     if needed > 2**20 and needed > (free := free_memory()):
-        raise StoreError(
-            f"not enough memory {purpose}: about {_bytes(needed)} are needed, {_bytes(free)} are free;"
-            " use a machine with more memory, raise the limit (ulimit -v, cgroup), or use a smaller file"
-        )
+        remedy = "use a machine with more memory, raise the limit (ulimit -v, cgroup), or use a smaller file"
+        numbers = f"about {_bytes(needed)} are needed, {_bytes(free)} are free"
+        raise StoreError(f"not enough memory {purpose}: {numbers}; {remedy}")
 
 
 @contextmanager

@@ -31,11 +31,9 @@ def read_summary(path: Path) -> Summary:
     data: Mapping[str, object] = read_json_object(path)
     form, version = data.get("format", 1), str(data.get("version", "unknown"))[:40]
     if form != FORMAT:
-        raise StoreError(
-            f"{path} has format {str(form)[:40]} (version {version}), but this version reads format {FORMAT}:"
-            f" open it with that version,"
-            " or compute the scene again"
-        )
+        remedy = "open it with that version, or compute the scene again"
+        other = f"{path} has format {str(form)[:40]} (version {version})"
+        raise StoreError(f"{other}, but this version reads format {FORMAT}: {remedy}")
     if (problem := problem_of(data)) is not None:
         raise StoreError(f"{path} is damaged: {problem}")
     return cast(Summary, data)

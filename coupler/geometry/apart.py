@@ -32,9 +32,8 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
         except subprocess.TimeoutExpired:
             raise SplatError(f"the mesher did not finish within {time_limit:g} s: try another element size") from None
         if done.returncode < 0:
-            raise SplatError(
-                f"the mesher was ended by the signal {signal.Signals(-done.returncode).name}: try a larger element size, or more memory"
-            )
+            remedy = "try a larger element size, or more memory"
+            raise SplatError(f"the mesher was ended by the signal {signal.Signals(-done.returncode).name}: {remedy}")
         if done.returncode > 0:
             raise SplatError(f"the mesher failed: {done.stderr.decode(errors='replace').strip().splitlines()[-1]}")
         result = pickle.loads(result_file.read_bytes())

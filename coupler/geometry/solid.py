@@ -64,10 +64,8 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     except SplatError as problem:
         if many <= MOST_TRIANGLES:
             raise
-        raise SplatError(
-            f"the surface has {many} triangles and becomes invalid when it is reduced to {MOST_TRIANGLES}"
-            f" triangles ({problem}): give fewer triangles"
-        ) from None
+        reduced = f"becomes invalid when it is reduced to {MOST_TRIANGLES} triangles ({problem})"
+        raise SplatError(f"the surface has {many} triangles and {reduced}: give fewer triangles") from None
     x, t = _with_pores(x, t)
     volume = enclosed_volume(x, t)
     if volume < 1e-9 * float(np.prod(np.ptp(x, axis=0)) or 1.0):
@@ -83,9 +81,8 @@ def _with_pores(x: NDArray, t: NDArray) -> Surface:
     parts = [(own, out if enclosed_volume(own, out) > 0.0 else out[:, ::-1]) for own, out in shells((x, t))]
     outer, *inner = sorted(parts, key=lambda part: -enclosed_volume(*part))
     if inner and not RaySurface(*outer).inside(np.concatenate([own for own, _ in inner])).all():
-        raise SplatError(
-            f"the surface consists of {len(parts)} separate parts: give one body; only its pores may be separate"
-        )
+        remedy = "give one body; only its pores may be separate"
+        raise SplatError(f"the surface consists of {len(parts)} separate parts: {remedy}")
     return together([outer, *((own, out[:, ::-1]) for own, out in inner)])
 
 

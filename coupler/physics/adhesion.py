@@ -38,15 +38,12 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
     ceramic, and if the material has no sigma_TS.
     """
     if material.is_ceramic:
-        raise ColdsprayError(
-            f"{material.name} is a ceramic: it makes no metallic bond and has no critical velocity;"
-            " spray it in a blend with a metal: [[powder]] of a job, or [[coating.powder]] of a scene"
-        )
+        remedy = "spray it in a blend with a metal: [[powder]] of a job, or [[coating.powder]] of a scene"
+        none = "it makes no metallic bond and has no critical velocity"
+        raise ColdsprayError(f"{material.name} is a ceramic: {none}; {remedy}")
     if material.sigma_TS is None:
-        raise ColdsprayError(
-            f"{material.name} has no sigma_TS (tensile strength), which the formula of the critical velocity needs: "
-            f'give it under [materials.{material.name}], as in sigma_TS = "400 MPa"'
-        )
+        lacks = f"{material.name} has no sigma_TS (tensile strength), which the formula of the critical velocity needs"
+        raise ColdsprayError(f'{lacks}: give it under [materials.{material.name}], as in sigma_TS = "400 MPa"')
     T, T_m = temperature, material.T_m
     softening = max(1.0 - (T - ROOM) / (T_m - ROOM), 0.0)
     mechanical = MECHANICAL * 4.0 * material.sigma_TS * softening / material.rho
@@ -159,10 +156,8 @@ def oxide_film(first: Material, second: Material) -> tuple[float, float]:
         if metal.is_polymer:
             raise ColdsprayError(f"{metal.name} is a polymer: it has no oxide film, and no bond of metals forms on it")
         if None in (metal.oxide_thickness, metal.oxide_strength, metal.oxide_threshold):
-            raise ColdsprayError(
-                f"{metal.name} has no oxide film: give oxide_thickness, oxide_strength and oxide_threshold under"
-                f" [materials.{metal.name}]"
-            )
+            remedy = f"give oxide_thickness, oxide_strength and oxide_threshold under [materials.{metal.name}]"
+            raise ColdsprayError(f"{metal.name} has no oxide film: {remedy}")
     forces = [(metal.oxide_thickness or 0.0) * (metal.oxide_strength or 0.0) for metal in (first, second)]
     return max(first.oxide_threshold or 0.0, second.oxide_threshold or 0.0), min(forces)
 

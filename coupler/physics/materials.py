@@ -169,11 +169,9 @@ class Material:
         low, high = 0.0, _HARDEST
         if not reached(low) * (1 - 1e-9) <= wanted <= reached(high):
             unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
-            annealed, hardest = reached(low) / scale, reached(high) / scale
-            raise ValueError(
-                f"is outside {annealed:.4g} to {hardest:.4g} {unit}, the range of {self.name} ({self.strength.label}) at plastic"
-                f" strains of 0 to {_HARDEST:g}"
-            )
+            limits = f"{reached(low) / scale:.4g} to {reached(high) / scale:.4g} {unit}"
+            law = f"{self.name} ({self.strength.label}) at plastic strains of 0 to {_HARDEST:g}"
+            raise ValueError(f"is outside {limits}, the range of {law}")
         for _ in range(60):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if reached(middle) < wanted else (low, middle)
@@ -216,9 +214,8 @@ class Entry:
             if choice in (name, table["law"]):
                 return _with_set(self.material, name, table)
         there = ", ".join(f"{name} ({table['law']})" for name, table in self.sets.items())
-        raise ValueError(
-            f"{choice[:40]!r}: {self.material.name} has no strength set or law of this name; it has {there}"
-        )
+        lacks = f"{self.material.name} has no strength set or law of this name"
+        raise ValueError(f"{choice[:40]!r}: {lacks}; it has {there}")
 
     @property
     def materials(self) -> list[Material]:

@@ -155,15 +155,12 @@ def form(name: str, diameter: float) -> Form:
     if name == "hollow_sphere":
         outer = D / (1.0 - HOLLOW_RATIO**3) ** (1.0 / 3.0)
         return Form(name, (outer, outer, outer), 0.5 * (1.0 - HOLLOW_RATIO) * outer)
-    if name == "oblate":  # D^3 = d^2 t
-        d = D * ratio ** (1.0 / 3.0)
+    if name in ("oblate", "flake"):  # oblate: D^3 = d^2 t; flake: pi/6 D^3 = pi/4 d^3 / ratio
+        d = D * (ratio / (1.0 if name == "oblate" else 1.5)) ** (1.0 / 3.0)
         return Form(name, (d, d, d / ratio), d / ratio)
     if name == "rod":  # pi/6 D^3 = pi/6 d^3 + pi/4 d^2 (ratio - 1) d
         d = D / (1.5 * ratio - 0.5) ** (1.0 / 3.0)
         return Form(name, (ratio * d, d, d), d)
-    if name == "flake":  # pi/6 D^3 = pi/4 d^3 / ratio
-        d = D * (ratio / 1.5) ** (1.0 / 3.0)
-        return Form(name, (d, d, d / ratio), d / ratio)
     scale = D * (math.pi / 6.0 / (ratio * _CUBOCTAHEDRON_VOLUME)) ** (1.0 / 3.0)
     corners = tuple((ratio * scale * x, scale * y, scale * z) for x, y, z in _CORNERS)
     return Form(name, (2 * ratio * scale, 2 * scale, 2 * scale), 2 * scale, corners)

@@ -258,9 +258,8 @@ def material_data(result: Result) -> str:
     cores = [body["core"] for body in result.plan["impacts"] if body.get("core")]
     bodies = [body["material"] for body in (*result.plan["impacts"], *cores, result.plan["target"])]
     metals = {m["name"]: m | {"K": m["rho"] * m["c0"] ** 2} for m in bodies}
-    rows = []
-    for key, label, factor, unit in CONSTANTS:
-        rows.append((label, *(f"{metal[key] * factor:.4g}" for metal in metals.values()), unit))
+    each = metals.values()
+    rows = [(label, *(f"{m[key] * factor:.4g}" for m in each), unit) for key, label, factor, unit in CONSTANTS]
     for law in dict.fromkeys(metal["strength"]["law"] for metal in metals.values()):
         own = [m["strength"]["numbers"] if m["strength"]["law"] == law else {} for m in metals.values()]
         name = law.replace("_", " ")
@@ -293,7 +292,6 @@ def pace(values: Values) -> str:
         return ""
     limits = {name: n for name, n in (values.get("dt_limited_by") or {}).items() if n}
     limited = ", ".join(f"{name} {n / sum(limits.values()):.0%}" for name, n in limits.items())
-    text = (
-        f"{shown('steps', int(steps))} steps of {loop / steps * 1e3:.3g} ms; 1 ns took {loop / (simulated * 1e9):.3g} s"
-    )
-    return f'<p class="caption">{escape(text)}. The time step is set by: {escape(limited)}.</p>'
+    text = f"{shown('steps', int(steps))} steps of {loop / steps * 1e3:.3g} ms"
+    text = f"{text}; 1 ns took {loop / (simulated * 1e9):.3g} s. The time step is set by: {limited}."
+    return f'<p class="caption">{escape(text)}</p>'

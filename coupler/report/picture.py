@@ -232,10 +232,9 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
     arrays: list[NDArray] = [fields.points for fields in (particle, surface, target)]
     arrays += [fields.data[name] for name in names for fields in (particle, target)]
     if not all(np.isfinite(part).all() for part in arrays):
-        raise StoreError(
-            f"{result.directory}: step {step % steps} has values that are not finite numbers, because the run became unstable:"
-            " choose an earlier step, or compute the scene with a finer preset"
-        )
+        why = "has values that are not finite numbers, because the run became unstable"
+        remedy = "choose an earlier step, or compute the scene with a finer preset"
+        raise StoreError(f"{result.directory}: step {step % steps} {why}: {remedy}")
     return particle, surface, target
 
 

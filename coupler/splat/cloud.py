@@ -72,21 +72,16 @@ class Cloud(MetalState):
         x = np.asarray(self.x)
         n = len(x)
         if n < MIN_POINTS:
-            raise SplatError(
-                f"the cloud has {n} points, but {MIN_POINTS} or more are needed: use a smaller spacing of the points"
-            )
+            remedy = "use a smaller spacing of the points"
+            raise SplatError(f"the cloud has {n} points, but {MIN_POINTS} or more are needed: {remedy}")
         for name, values in self._known().items():
-            shape = (n, *rows_of(self)[name].shape[1:])
-            if np.shape(values) != shape:
-                raise SplatError(
-                    f"{name} must have the shape {shape}, but has {np.shape(values)}: give a row for each point"
-                )
+            shape, has = (n, *rows_of(self)[name].shape[1:]), np.shape(values)
+            if has != shape:
+                raise SplatError(f"{name} must have the shape {shape}, but has {has}: give a row for each point")
             bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
             if len(bad):
-                raise SplatError(
-                    f"{name} of {len(bad)} points is not a number, or beyond {LARGEST:g} (first: point {bad[0]}): remove or"
-                    " correct these points"
-                )
+                wrong = f"is not a number, or beyond {LARGEST:g} (first: point {bad[0]})"
+                raise SplatError(f"{name} of {len(bad)} points {wrong}: remove or correct these points")
         for name, value in {"spacing": self.spacing, "rho": self.rho}.items():
             if not 1.0 / LARGEST < value < LARGEST:
                 raise SplatError(f"{name} must be positive and below {LARGEST:g}, not {value:g}: give it in SI units")
@@ -96,33 +91,29 @@ class Cloud(MetalState):
         if self.surface is not None:
             vertices, triangles = self.surface
             if not (np.abs(vertices) < LARGEST).all():
-                raise SplatError(
-                    f"vertices of the surface are not numbers, or beyond {LARGEST:g}: correct them, or leave the surface out"
-                )
+                remedy = "correct them, or leave the surface out"
+                raise SplatError(f"vertices of the surface are not numbers, or beyond {LARGEST:g}: {remedy}")
             if problem := open_or_double(np.asarray(triangles, np.int64)):
                 raise SplatError(f"the surface is not closed ({problem}): correct it, or leave it out")
 
     def _check_places(self, x: np.ndarray) -> None:
         box = float(np.prod(np.ptp(x, axis=0) / self.spacing + 1.0))
         if box > MAX_BOX:
-            raise SplatError(
-                f"the points are spread over {box:.2g} times the volume of one point: remove points that lie far from the body,"
-                " or check the spacing"
-            )
+            remedy = "remove points that lie far from the body, or check the spacing"
+            raise SplatError(f"the points are spread over {box:.2g} times the volume of one point: {remedy}")
         extent = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) * np.sqrt(12.0 / len(x))
         if extent[2] < 0.05 * self.spacing:
             shape = "a line" if extent[1] < 0.05 * self.spacing else "a plane"
-            raise SplatError(
-                f"the points lie in {shape}: a body needs points in three dimensions, or a smaller spacing"
-            )
+            remedy = "a body needs points in three dimensions, or a smaller spacing"
+            raise SplatError(f"the points lie in {shape}: {remedy}")
         distance, nearest = cKDTree(x).query(x, k=2)
         double = np.flatnonzero(distance[:, 1] < 1e-4 * self.spacing)
         if len(double):
             i = int(double[0])
             other = next(int(k) for k in nearest[i] if k != i)  # of two equal points either may come first
+            same = f"points {i} and {other} have the same coordinates"
             raise SplatError(
-                f"{len(double)} points have the coordinates of another point (points {i} and {other} have the"
-                f" same coordinates): remove the duplicates"
+                f"{len(double)} points have the coordinates of another point ({same}): remove the duplicates"
             )
 
 

@@ -37,19 +37,16 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
         raise SplatError(f"element_size must be positive, is {element_size:g}: give a length")
     expected = TETS_PER_H3 * cloud.solid_volume / element_size**3
     if expected > MAX_ELEMENTS:
-        raise SplatError(
-            f"this body would have {expected:.2g} elements of {element_size:.3g} m: give a larger element size, "
-            f"at least {(TETS_PER_H3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
-        )
+        remedy = f"give a larger element size, at least {element_size * (expected / MAX_ELEMENTS) ** (1 / 3):.3g} m"
+        raise SplatError(f"this body would have {expected:.2g} elements of {element_size:.3g} m: {remedy}")
     start = clock.perf_counter()
     try:
         parts = separate_bodies(cloud, element_size, method)
         sorting = clock.perf_counter() - start
         meshed = [mesh_body(shape, index, element_size, method) for index, shape in parts]
     except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
-        raise SplatError(
-            f"this cloud cannot be meshed ({type(problem).__name__}: {problem}): try another element size, or check the points"
-        ) from problem
+        remedy = "try another element size, or check the points"
+        raise SplatError(f"this cloud cannot be meshed ({type(problem).__name__}: {problem}): {remedy}") from problem
     bodies = [body for own in meshed for body in own]
     report = _total([own[0].report for own in meshed], sorting)
     lost = len(cloud.x) - sum(len(body.cloud_index) for body in bodies)
@@ -63,10 +60,8 @@ def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tupl
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
     large = [group for group in groups if len(group) >= MIN_POINTS]
     if not large:
-        raise SplatError(
-            f"fewer than {MIN_POINTS} points of the cloud lie within {LINK} spacings of each other: check the spacing "
-            f"({cloud.spacing:.3g} m)"
-        )
+        few = f"fewer than {MIN_POINTS} points of the cloud lie within {LINK} spacings of each other"
+        raise SplatError(f"{few}: check the spacing ({cloud.spacing:.3g} m)")
     bodies = [body for group in large for body in _separate(cloud, group, element_size, method)]
     return sorted(bodies, key=lambda body: -len(body[0]))
 
@@ -129,10 +124,8 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
         report |= {"seconds": seconds, "failed": failed}
         return [Body(**state, report=report) for state in states]
     reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
-    raise SplatError(
-        f"no mesh of the body of {len(index)} points has a sufficient quality: {reasons}. Try another element"
-        f" size, or check the spacing"
-    )
+    none = f"no mesh of the body of {len(index)} points has a sufficient quality"
+    raise SplatError(f"{none}: {reasons}. Try another element size, or check the spacing")
 
 
 def _total(reports: list[Report], sorting: float) -> Report:
