@@ -282,7 +282,6 @@ def _report(workspace: Workspace, folder: Path, row: Row) -> str:
 
 
 def _rows_table(rows: list[Row], **more: Any) -> ui.table:
-    """Make a table of results folders; each name is a link to the page of its run."""
     table = _table(("name", "state", "changed", "result"), map(_cells, rows), **more)
     link = '<a :href="props.row.to">{{ props.value }}</a>'
     table.add_slot("body-cell-name", f'<q-td :props="props" class="whitespace-nowrap">{link}</q-td>')

@@ -170,7 +170,6 @@ def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[floa
 
 
 def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
-    """Draw velocity and temperature of gas and particles along the axis of the nozzle, as PNG."""
     from matplotlib import colormaps
 
     from ..report.figure import blank, save

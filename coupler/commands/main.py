@@ -189,7 +189,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_running(option: Option) -> None:
-    """Add the options that `run` and `resume` share."""
     options.add_quiet(option)
     text = "print all measures, not only those that converge with the resolution"
     option("-v", "--verbose", action="store_true", help=text)

@@ -69,7 +69,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _table(arguments: argparse.Namespace) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """The rows of the table of a folder, and the axes that the option --axes names."""
     from ..studies import runs_table
 
     with reading(arguments.folder), working("reading the runs"):

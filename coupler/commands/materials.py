@@ -38,7 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _listed(entries: "list[Entry]") -> list[str]:
-    """Text lines about metals of the library, one line for each strength set."""
     lines = [f"{'metal':9} {'strength set':19} {'law':22} fitted"]
     for known in entries:
         for i, metal in enumerate(known.materials):
@@ -57,7 +56,6 @@ def _listed(entries: "list[Entry]") -> list[str]:
 
 
 def _explained(known: "Entry") -> list[str]:
-    """Text lines about one metal: constants, sources, strength sets, flow stresses."""
     metal, show = known.material, _value
     moduli = {"G": metal.G, "K": metal.K, "E": metal.E}
     lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]
@@ -81,7 +79,6 @@ def _explained(known: "Entry") -> list[str]:
 
 
 def _set(metal: "Material") -> list[str]:
-    """Text lines about a strength set: parameters, range, flow stresses."""
     from ..physics.strength import LAWS
 
     law = metal.strength

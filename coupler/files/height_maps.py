@@ -57,7 +57,6 @@ def _numbers(text: str) -> NDArray[np.float64]:
 
 
 def _image(path: Path) -> NDArray[np.float64]:
-    """Grey values of an image."""
     with Image.open(path) as image:
         grey = np.asarray(image if image.mode.startswith(("I", "F")) else image.convert("L"))
     most = 1.0 if grey.dtype.kind == "f" else 255.0 if grey.dtype == np.uint8 else 65535.0
@@ -65,7 +64,6 @@ def _image(path: Path) -> NDArray[np.float64]:
 
 
 def _of_matrix(z: NDArray[np.float64]) -> Surface:
-    """Points and triangles of a matrix of heights."""
     block = -(-max(z.shape) // _MOST_ROWS)
     rows, columns = (n // block for n in z.shape)
     z = z[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))

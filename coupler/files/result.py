@@ -123,7 +123,6 @@ class Result:
         return [*super().__dir__(), *self._known()]
 
     def _known(self) -> Values:
-        """Name -> value of all attributes from the summary."""
         return {**self.summary, **self.summary["impacts"][-1], **self.values} if self.summary else {}
 
     @property

@@ -205,7 +205,6 @@ class WithoutFields(Store):
 
 
 def _line(cells: Iterable[str | float]) -> str:
-    """The text line of history.csv for the values `cells`."""
     return ",".join(cell if isinstance(cell, str) else f"{cell:.10g}" for cell in cells) + "\n"
 
 

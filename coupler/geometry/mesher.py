@@ -53,7 +53,6 @@ def build(model: Callable[[ModuleType], None], algorithm: str = "HXT") -> tuple[
 
 
 def _equal(gmsh: ModuleType) -> None:
-    """Set the size of all edges to 1."""
     gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
     gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
 

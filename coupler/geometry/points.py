@@ -22,8 +22,7 @@ LONELY = 2.5  # spacings: a point whose nearest neighbour is farther away is not
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
     """Indices of the points x (n,3) m to keep. Each position is kept once, and isolated points are left out. Returns also texts about
     the omitted points."""
-    finite = np.isfinite(x).all(axis=1)
-    if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # the check of the cloud reports it
+    if not np.isfinite(x).all() or np.abs(x).max() > 1e6 * spacing:  # the check of the cloud reports it
         return np.arange(len(x)), []
     pairs = cKDTree(x).query_pairs(SAME_PLACE * spacing, output_type="ndarray")
     first = np.setdiff1d(np.arange(len(x)), pairs.max(axis=1, initial=-1))

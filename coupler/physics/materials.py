@@ -381,7 +381,6 @@ def _aliases() -> dict[str, Entry]:
 
 
 def _entry(name: str, table: Mapping[str, object]) -> Entry:
-    """A material of the library from its table: fields, aliases and strength sets."""
     rest = {key: value for key, value in table.items() if key not in ("aliases", "sets")}
     sets, aliases = table["sets"], table.get("aliases", [])
     assert isinstance(sets, Mapping)
@@ -394,7 +393,6 @@ def _entry(name: str, table: Mapping[str, object]) -> Entry:
 
 
 def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Material:
-    """A material of the library with one of its sets."""
     if name == metal.strength.set:
         return metal
     other = from_table(metal.name, {key: value for key, value in table.items() if key != "source"}, metal)

@@ -202,7 +202,6 @@ def section_of_surfaces(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.
 
 
 def _of_splats(target: Fields) -> NDArray[np.bool_]:
-    """Mask of the tetrahedra of splats."""
     return np.asarray(target.data["impact"] > 0) if "impact" in target.data else np.zeros(len(target.cells), bool)
 
 

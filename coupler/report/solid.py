@@ -117,7 +117,6 @@ def _reaches_into(corners: NDArray, box: NDArray) -> NDArray:
 
 
 def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: NDArray) -> Mesh:
-    """The part of the target's surface that is near the impact."""
     used, triangles = np.unique(skin[_reaches_into(points[skin], box)], return_inverse=True)
     return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
 

@@ -64,7 +64,6 @@ class Cloud(MetalState):
         return replace(self, **kept)
 
     def _known(self) -> dict[str, np.ndarray]:
-        """The arrays that are not None, by name."""
         return {name: array for name, array in arrays_of(self).items() if array is not None}
 
     def check(self) -> None:

@@ -86,15 +86,12 @@ class CloudShape:
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:
-            best: Shape | None = None
+            shapes: list[Shape] = []
             for sigma in (s for s in SIGMAS if s >= least_sigma):
-                shape = smoothed_shape(self.cloud, self.others, source, size, sigma)
-                if best is None or shape.handles < best.handles:
-                    best = shape
-                if shape.handles == 0:
+                shapes.append(smoothed_shape(self.cloud, self.others, source, size, sigma))
+                if shapes[-1].handles == 0:
                     break
-            assert best is not None
-            self.cache = key, best
+            self.cache = key, min(shapes, key=lambda shape: shape.handles)
         return self.cache[1]
 
 

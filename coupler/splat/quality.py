@@ -46,10 +46,9 @@ def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def pieces(points: np.ndarray, tets: np.ndarray) -> int:
-    """Number of separate parts of a mesh, which share no nodes."""
-    nodes, conn = compact(points, tets)
-    pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
-    return int(connected_parts(pairs, len(nodes))[0])
+    """Number of separate parts of a mesh, which share no nodes; a node without a tetrahedron is a part."""
+    pairs = np.concatenate([tets[:, [0, 1]], tets[:, [1, 2]], tets[:, [2, 3]]])
+    return int(connected_parts(pairs, len(points))[0])
 
 
 def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
