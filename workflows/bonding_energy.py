@@ -100,14 +100,6 @@ def critical_of(metal: str, diameter: str) -> float | None:
     return float(own["critical_velocity_m_s"]) if f"{own['diameter_um']}" == diameter else None
 
 
-def flow_stresses(impact: Impact) -> np.ndarray:
-    """Flow stress (v,) Pa of the softer metal at the vertices of the particle's surface; infinite far from the target."""
-    stresses = np.full(impact.surface.weights.shape[0], np.inf)
-    near, facets = impact.contact.touching(len(stresses), 10.0 * impact.particle.spacing)
-    stresses[near] = softer_strength(impact.domains, near, facets)
-    return stresses
-
-
 def springs(preset: str, factor: str) -> dict[str, object]:
     """One impact without bonds; energies over the section of the particle. factor: on the stiffness of the contact."""
     scene, energy = scene_of("Ni", "10", preset=preset), list[float]()
@@ -137,7 +129,12 @@ def profile() -> Iterator[dict[str, object]]:
             nodes, bond = bonds.bond.nodes, bonds.bond
             values["radius"] = np.linalg.norm(impact.surface.positions(impact.particle.x)[nodes, :2], axis=1)
             values["area"], values["strength"], values["energy"] = bond.area, bond.strength[:, 0], bond.energy[:, 0]
-            values["flow"], values["clean"] = flow_stresses(impact)[nodes], exposure.clean[nodes, 0]
+            flow = np.full(
+                impact.surface.weights.shape[0], np.inf
+            )  # of the softer metal; far from the target there is none
+            near, facets = impact.contact.touching(len(flow), 10.0 * impact.particle.spacing)
+            flow[near] = softer_strength(impact.domains, near, facets)
+            values["flow"], values["clean"] = flow[nodes], exposure.clean[nodes, 0]
 
     with computed(Scene.from_text(at_velocity(scene, VELOCITY_AL)), probe=probe):
         pass
@@ -161,7 +158,6 @@ def bracket_of(rows: Iterable[Row]) -> Bracket:
 
 def criticals(rows: list[Row]) -> Iterator[Row]:
     """The bracket that the verdicts of each particle, film and preset show."""
-
     for key in sorted({tuple(row[name] for name in KEY[:-1]) for row in rows}):
         own = [row for row in rows if tuple(row[name] for name in KEY[:-1]) == key]
         found = bracket_of(own)

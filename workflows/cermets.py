@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pages import EVIDENCE, computed, impact_tables, markdown, options, scene_file, write_parts
 from study_table import Row, column, study
 
-from coupler import Result, Scene
+from coupler import Scene
 from coupler.measures import EMBEDDED, STICKS, UNDECIDED
 from coupler.report.picture import stage
 from coupler.studies import coating, coating_files
@@ -55,9 +55,14 @@ def scene_of(name: str, powder: str) -> Scene:
     return Scene.from_dict(tables, f"{name}_{powder}")
 
 
-def measured(result: Result) -> dict[str, object]:
-    """The measures of a coating for its row."""
-    impacts, measures = result.summary["impacts"], coating.measure(coating.read(result))
+def coating_row(name: str, powder: str) -> dict[str, object]:
+    """Compute a coating; its row. Draws the pictures of the page, etched sections."""
+    with computed(scene_of(name, powder)) as (result, _):
+        impacts, splats = result.summary["impacts"], coating.read(result)
+        if name == PICTURES:
+            picture = EVIDENCE / f"{PICTURES}_{powder}.png"
+            coating_files.micrograph(splats, picture, 1.3 * splats.patch, stage(result).plane)
+    measures = coating.measure(splats)
     hard = [impact for impact in impacts if "tension_max_Pa" in impact]
     shares = measures.phases[-1] if hard else {"fed_share": 0.0, "deposited_share": 0.0}
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
@@ -75,21 +80,6 @@ def measured(result: Result) -> dict[str, object]:
     }  # fmt: skip
 
 
-def coating_row(name: str, powder: str) -> dict[str, object]:
-    """Compute a coating; its row. Draws the pictures of the page, etched sections."""
-    with computed(scene_of(name, powder)) as (result, _):
-        if name == PICTURES:
-            draw(result, powder)
-        return measured(result)
-
-
-def draw(result: Result, powder: str) -> None:
-    """The etched section of a coating, for the page."""
-    splats = coating.read(result)
-    picture = EVIDENCE / f"{PICTURES}_{powder}.png"
-    coating_files.micrograph(splats, picture, 1.3 * splats.patch, stage(result).plane)
-
-
 def impact_row(shape: str, base: str, velocity: str, spacing: str, bond: str) -> dict[str, object]:
     """Compute an impact; its row."""
     tables = impact_tables("Al2O3", DIAMETER, float(velocity), base, (140.0, 80.0), float(spacing), shape=shape)
@@ -98,12 +88,7 @@ def impact_row(shape: str, base: str, velocity: str, spacing: str, bond: str) ->
     tables |= {"preset": "draft", "materials": {"Al2O3": WHOLE}, "output": {"at": "ends"}}
     tables["adhesion"] = {"kind": "tied"} if bond == "0" else law | {"pair": [pair]}
     with computed(Scene.from_dict(tables, "ceramic")) as (result, _):
-        return of_impact(result)
-
-
-def of_impact(result: Result) -> dict[str, object]:
-    """The measures of an impact for its row."""
-    (impact,) = result.summary["impacts"]
+        (impact,) = result.summary["impacts"]
     return {
         "points": impact["points"], "verdict": impact["verdict"], "restitution": impact["restitution"],
         "crater_um": impact["greatest"]["crater_depth_m"] * 1e6, "tension_GPa": impact["tension_max_Pa"] * 1e-9,

@@ -22,21 +22,17 @@ STEP, PAUSE = 1e-13, 1e-6  # s
 ENERGY = 1.0  # J, of an impact before: equilibrium is found at once
 
 
-def cube(law: np.ndarray) -> BodyState:
-    """A body on the origin, free of stress, that follows a law."""
-    points, tets = mesher.box((EDGE, EDGE, EDGE), 0.5 * EDGE)
-    n, m = len(points), len(tets)
-    return BodyState(
-        points=points, tets=oriented(points, tets), stress=np.zeros((m, 6)), eps_p=np.zeros(m), T=np.full(m, 300.0), J=np.ones(m),
-        velocity=np.zeros((n, 3)), energy=np.zeros(n), mass=float(law["rho"][0]) * EDGE**3, law=law, eps_gradient=np.zeros((m, 3)),
-    )  # fmt: skip
-
-
 if __name__ == "__main__":
     p = plan(Scene.load(SCENE))
     bodies = build_target(p)
     bodies.target.advance(STEP)
     bodies.target.finish()
     bodies.stable_dt(1.0)
-    lying = bodies.joined([cube(bodies.target.laws)], Adhesion("tied"), 0.5 * EDGE, (0.0, 0.0, 0.0), 1.0, 1)
+    points, tets = mesher.box((EDGE, EDGE, EDGE), 0.5 * EDGE)
+    n, m, law = len(points), len(tets), bodies.target.laws
+    cube = BodyState(
+        points=points, tets=oriented(points, tets), stress=np.zeros((m, 6)), eps_p=np.zeros(m), T=np.full(m, 300.0), J=np.ones(m),
+        velocity=np.zeros((n, 3)), energy=np.zeros(n), mass=float(law["rho"][0]) * EDGE**3, law=law, eps_gradient=np.zeros((m, 3)),
+    )  # fmt: skip
+    lying = bodies.joined([cube], Adhesion("tied"), 0.5 * EDGE, (0.0, 0.0, 0.0), 1.0, 1)
     pause(p, PAUSE, lying, ENERGY)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from pages import computed, drawing, impact_tables, markdown, options, versions, with_error, write_parts
 from study_table import Row, column, measurements, number, study, table_rows
@@ -25,6 +24,7 @@ REBOUND, SPLAT, ALUMINIUM = measurements("rebound"), measurements("splat"), meas
 METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
 PRESETS = ("draft", "standard")
 STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
+COLOURS = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9"  # of strength sets
 PROBED = {"Ni": (310, 473), "OFHC_Cu": (315, 489)}  # m/s, where the band is computed
 KEY = ("metal", "set", "velocity_m_s", "preset", "contact_stiffness")
 Key = tuple[str, str, str, str, str]
@@ -201,27 +201,23 @@ def draw(rows: Sequence[Row]) -> None:
     """Restitution over velocity, measured and of every set, with the bands of both sides."""
     with drawing("restitution_sets", 11.0, 5.6) as figure:
         for left, metal in zip((0.07, 0.56), METALS, strict=True):
-            draw_metal(figure.add_axes((left, 0.3, 0.42, 0.65)), rows, metal)
-
-
-def draw_metal(axis: Axes, rows: Sequence[Row], metal: str) -> None:
-    """The panel of a metal."""
-    colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9")
-    v, e = np.array(REBOUND[metal]["e"]).T
-    axis.errorbar(v, e, REBOUND["e_error"], v * REBOUND["velocity_error"], fmt="ks", ms=4, lw=1, label="measured")
-    half = band_of(rows, metal)
-    for name, colour in zip(entry(metal).sets, colours, strict=False):
-        for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
-            x, y = curve(rows, metal, name, preset)
-            face = "none" if preset == "draft" else colour
-            axis.plot(x, y, style, color=colour, ms=4, lw=1.2, label=f"{name}, {preset}", mfc=face)
-        if len(x) and math.isfinite(half):
-            axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
-    axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")
-    axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
-    axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
-    axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
-    axis.legend(fontsize=6.5, ncols=3, columnspacing=1.0, loc="upper center", bbox_to_anchor=(0.5, -0.13))
+            axis, half = figure.add_axes((left, 0.3, 0.42, 0.65)), band_of(rows, metal)
+            v, e = np.array(REBOUND[metal]["e"]).T
+            axis.errorbar(
+                v, e, REBOUND["e_error"], v * REBOUND["velocity_error"], fmt="ks", ms=4, lw=1, label="measured"
+            )
+            for name, colour in zip(entry(metal).sets, COLOURS, strict=False):
+                for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
+                    x, y = curve(rows, metal, name, preset)
+                    face = "none" if preset == "draft" else colour
+                    axis.plot(x, y, style, color=colour, ms=4, lw=1.2, label=f"{name}, {preset}", mfc=face)
+                if len(x) and math.isfinite(half):
+                    axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
+            axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")
+            axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
+            axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
+            axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
+            axis.legend(fontsize=6.5, ncols=3, columnspacing=1.0, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 
 
 PARTS = {  # name: table, keys

@@ -5,13 +5,12 @@ docs/tables/flights.csv and its part of the page on the gas.
 """
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
 
 from pages import markdown, write_parts
-from study_table import WORKFLOWS, measurements, write_table
+from study_table import measurements, write_table
 
 from coupler import __version__
 from coupler.measures import STICKS
@@ -21,7 +20,7 @@ from coupler.spray.flight import fly_together
 from coupler.spray.gas import GASES, Flow
 from coupler.spray.nozzles import Nozzle, from_tables
 from coupler.spray.sizes import Sizes
-from coupler.spray.window import Spray, spray
+from coupler.spray.window import spray
 
 MEASURED = measurements("flights")
 BAND = 0.2  # of the critical velocity
@@ -30,15 +29,9 @@ ATMOSPHERE, ZERO = 1.01325e5, 273.15
 
 def nozzles() -> dict[str, Nozzle]:
     """The nozzles of the sources."""
-    found, problems = from_tables(tomllib.loads((WORKFLOWS / "laboratory_nozzles.toml").read_text())["nozzles"])
+    found, problems = from_tables(measurements("nozzles", "laboratory_nozzles"))
     assert not problems
     return found
-
-
-def efficiency(powder: Spray) -> str:
-    """Share of the mass that stays, percent, with its range over the band of the critical velocity."""
-    share = [100.0 * powder.fates(factor)[STICKS] for factor in (1.0, *powder.extremes(BAND))]
-    return f"{share[0]:.0f} ({share[1]:.0f} to {share[2]:.0f})"
 
 
 def critical(name: str, diameter: float, temperature: float) -> float:
@@ -55,6 +48,8 @@ def rows() -> list[dict[str, object]]:
             nozzle, standoff = known[run["nozzle"]], run["standoff_mm"] * 1e-3
             flow = Flow(GASES[gas], nozzle, bar * 1e5, T_gas + ZERO, standoff, ATMOSPHERE)
             powder = spray(metal, None, sizes, partial(fly_together, flow, metal, T_feed=T_powder + ZERO))
+            # that stays, percent, by the formula and over the band of the critical velocity
+            share = [f"{100.0 * powder.fates(factor)[STICKS]:.0f}" for factor in (1.0, *powder.extremes(BAND))]
             middle = len(powder.velocity) // 2
             velocity, temperature = powder.velocity[middle], powder.temperature[middle] - ZERO
             over = [u / critical(run["metal"], run["sizes_um"][1], t) for u, t in ((v, T), (velocity, temperature))]
@@ -63,7 +58,7 @@ def rows() -> list[dict[str, object]]:
                 "gas": f"{gas} {bar / 10:g} MPa {T_gas:g} °C", "powder_C": T_powder, "by": run["by"],
                 "published_m_s": v, "published_scatter": scatter or "", "computed_m_s": f"{velocity:.0f}",
                 "published_C": "" if math.isnan(T) else T, "computed_C": f"{temperature:.0f}",
-                "published_percent": stays, "computed_percent": efficiency(powder),
+                "published_percent": stays, "computed_percent": f"{share[0]} ({share[1]} to {share[2]})",
                 "published_over_critical": "" if math.isnan(T) else f"{over[0]:.2f}", "computed_over_critical": f"{over[1]:.2f}",
             })  # fmt: skip
     return found

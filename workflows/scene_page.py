@@ -30,11 +30,6 @@ DEFAULTS = {  # numbers of the plan, in words
 }
 
 
-def main(path: Path = PAGE) -> None:
-    """Write the page."""
-    path.write_text(page(), encoding="utf-8")
-
-
 def page() -> str:
     """The page as Markdown."""
     used = {units.dimension_of(unit) for unit in re.findall(r'"unit": "(.*?)"', json.dumps(SCHEMA))}
@@ -161,4 +156,4 @@ def _written(value: object) -> str:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    Path(*sys.argv[1:] or [PAGE]).write_text(page(), encoding="utf-8")

@@ -7,7 +7,6 @@ that the battery goes on where it was stopped. The judge of each result is `veri
 import tempfile
 import time as clock
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,18 +49,6 @@ class Slow(Exception):
     """A scene has used up its time."""
 
 
-def deadline(patience: float = PATIENCE) -> Callable[[Impact], None]:
-    """A probe of an `Impact` that raises Slow after so many seconds of processor time."""
-    started = clock.process_time()
-
-    def probe(impact: Impact) -> None:
-        if clock.process_time() - started > patience:
-            at = f"{impact.time * 1e9:.1f} ns, dt {impact.particle.dt * 1e12:.2f} ps"
-            raise Slow(f"did not finish within {patience:.0f} s: at {at}")
-
-    return probe
-
-
 def scene(particle: Table | list[Table], points: int = POINTS, **more: Any) -> Table:
     """A scene with so many points in its largest particle, on a target four diameters wide, and wider where one slides. particle: what
     changes of USUAL, without effect beside a table [coating]; more: what changes of other tables."""
@@ -101,9 +88,16 @@ def kinds() -> dict[str, dict[str, Table]]:
 
 def play(said: Table, folder: Path) -> Judged:
     """Compute a scene and judge it. Its errors are in the row, not raised."""
+    started = clock.process_time()
+
+    def probe(impact: Impact) -> None:
+        if clock.process_time() - started > PATIENCE:
+            at = f"{impact.time * 1e9:.1f} ns, dt {impact.particle.dt * 1e12:.2f} ps"
+            raise Slow(f"did not finish within {PATIENCE:.0f} s: at {at}")
+
     try:
         checked = Scene.from_dict(said, "hard")
-        result = run(checked, folder / "run", force=True, progress=Progress(quiet=True), threads=1, probe=deadline())
+        result = run(checked, folder / "run", force=True, progress=Progress(quiet=True), threads=1, probe=probe)
     except SceneError as error:
         return "refused", {}, [str(error)]
     except ColdsprayError as error:
