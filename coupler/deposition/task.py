@@ -111,7 +111,7 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
         after, joined = impact.bodies, Values()
         undecided = record.values["undecided"] is not None
         if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
-            after, joined = join(plan, i, impact, record.values, options.progress, task.place)
+            after, joined = join(impact, record.values, options.progress, task.place)
     finally:
         impact.particle.close()
     result = TaskResult(after.state(), record, prepared, joined, store.state())

@@ -27,14 +27,13 @@ from ..physics.constitutive import is_metal, law_record
 from ..physics.materials import Material
 from ..physics.metal import MetalState
 from ..plan.model import TargetPlan
-from ..plan.planning import Plan
+from ..plan.planning import ImpactPlan, Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
 from ..target.bodies import Bodies, BodiesState
 from ..target.domain import BodyState, domain_now
 from ..target.positions import level_under
 from .folding import SHAPES, Folding
-from .heat import HeatPaths
 
 MESHING_LIMIT = 600.0  # s, time limit of gmsh for the substrate
 
@@ -43,19 +42,25 @@ MESHING_LIMIT = 600.0  # s, time limit of gmsh for the substrate
 class Domains:
     """The two domains of an impact, ready to run, with the contact between them.
 
-    particle: its points on all ranks; bodies: substrate and splats; surface: outer surface of the particle, carried by its points;
-    level: height (m) of the target's surface where the particle first touches it; normal (3,): of the ground there; paths: heat
-    flow, computed after each chunk of steps; folding: self-contact of the particle, None if it is not computed.
+    plan, i: plan of the run, and index of the impact; particle: its points on all ranks; bodies: substrate and splats; surface: outer
+    surface of the particle, carried by its points; level: height (m) of the target's surface where the particle first touches it;
+    conduction: inside the particle; folding: self-contact of the particle; each None if it is not computed.
     """
 
+    plan: Plan
+    i: int
     particle: DistributedParticle
     bodies: Bodies
     contact: Contact
     surface: CarriedSurface
     level: float
-    normal: np.ndarray
-    paths: HeatPaths
+    conduction: PointConduction | None
     folding: Folding | None
+
+    @property
+    def own(self) -> ImpactPlan:
+        """The plan of this impact."""
+        return self.plan.impacts[self.i]
 
     @property
     def target(self) -> Target:
@@ -163,14 +168,13 @@ def build_domains(
     own, other = impact_plan.material.effusivity(impact_plan.temperature), t.materials[-1].effusivity(t.temperature)
     share = own / (own + other)  # share of the heat of friction, as for two half-spaces in contact
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
-    on, inside = plan.effects, None
-    if on.particle_conduction:
+    inside = None
+    if plan.effects.particle_conduction:
         volume = np.full(len(body.points), body.volume)
         inside = PointConduction(body.points, body.spacing, volume, particle.law, particle.law_of)
     folds = impact_plan.shape in SHAPES or body.inner is not None
     itself = Folding(body, surface, place, k, plan.friction) if folds else None
-    paths = HeatPaths(particle, target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself)
-    return Domains(particle, bodies, contact, surface, level, np.array(impact_plan.normal), paths, itself)
+    return Domains(plan, i, particle, bodies, contact, surface, level, inside, itself)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:

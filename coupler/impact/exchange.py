@@ -21,8 +21,8 @@ from ..errors import SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
 from ..physics.adhesion import PARTICLE_BOND_STIFFNESS, oxide_film
+from ..physics.materials import Material
 from ..plan.cost import CHUNK
-from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..target.bodies import BodiesState
 from .domains import Domains, metals_of
@@ -78,8 +78,6 @@ class Impact(Course):
         self.ledger = Ledger.begin(domains)
         self.bonds: ParticleBonds | None = None
         self.exposure: Exposure | None = None
-        self._joins: np.ndarray | None = None  # (laws,): whether the particle can bond to each law of the target
-        self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
 
     @cached_property
@@ -88,10 +86,20 @@ class Impact(Course):
         adjacent vertices and points under the vertex."""
         return hstack([self.surface.neighbours, self.surface.under], format="csr")
 
+    @cached_property
+    def _metals(self) -> list[Material]:
+        """The metal of each law of the target."""
+        return metals_of(self.domains.plan, self.bodies)
+
+    @cached_property
+    def _films(self) -> np.ndarray:
+        """`oxide_film` (laws, 2) between the particle and each law of the target."""
+        return np.array([oxide_film(self.domains.own.material, metal) for metal in self._metals])
+
     @property
     def sinking(self) -> float:
         """Speed of the particle's centre of mass towards the ground, along its normal, m/s."""
-        return -float(self.particle.totals.momentum @ self.domains.normal / self.particle.mass.sum())
+        return -float(self.particle.totals.momentum @ self.domains.own.normal / self.particle.mass.sum())
 
     @property
     def grip(self) -> Grip:
@@ -187,16 +195,13 @@ class Impact(Course):
             self.folding.forces(p)
         t.finish()
 
-    def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
+    def expose(self, touching: Touching) -> None:
         """Update the area of clean metal at the touching vertices after a chunk of steps."""
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
-        if self._films is None:
-            metals = metals_of(plan, self.bodies)
-            self._films = np.array([oxide_film(impact_plan.material, metal) for metal in metals])
         self.exposure.update(self.domains, touching, self._films[:, 0])
 
-    def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
+    def bond(self, touching: Touching) -> None:
         """Bond the touching vertices that are under pressure and meet the adhesion criterion. A vertex bonds only once.
 
         With the criterion "exposure" a vertex bonds when its pressure has fallen below the extrusion pressure: above this pressure
@@ -208,30 +213,27 @@ class Impact(Course):
             if again.any():
                 self.bonds.bond.drop(again)
                 self.bonds = ParticleBonds(self.bonds.bond, self._beside)
-        chosen = touching.pressed
+        chosen, adhesion = touching.pressed, self.domains.plan.adhesion
         if self.bonds is not None:
             chosen &= ~np.isin(touching.rows, self.bonds.bond.nodes)
         if chosen.any():
-            if self._joins is None:
-                metals = metals_of(plan, self.bodies)
-                self._joins = np.array([plan.adhesion.joins(impact_plan.material, metal) for metal in metals])
-            chosen &= self._joins[self.target.law_of[touching.element]]
+            joins = np.array([adhesion.joins(self.domains.own.material, metal) for metal in self._metals])
+            chosen &= joins[self.target.law_of[touching.element]]
         if chosen.any():
-            chosen &= self._meets_criterion(plan, impact_plan, touching)
+            chosen &= self._meets_criterion(touching)
         if not chosen.any():
             return
         p, t, s = self.particle, self.target, self.surface
         rows, facets, law_of = touching.rows[chosen], touching.facets[chosen], t.law_of[touching.element[chosen]]
         stiffness = PARTICLE_BOND_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
-        if self.exposure is not None and self._films is not None:
+        if self.exposure is not None:
             law = self.exposure.bonds(rows, self._films[law_of, 1], touching.strength[chosen], stiffness)
         else:
-            metals = metals_of(plan, self.bodies)
-            law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
+            law = adhesion.law_on(self.domains.own.material.name, [self._metals[i].name for i in law_of])
         later = Bond.tie(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
         self.bonds = ParticleBonds(later if self.bonds is None else Bond.joined([self.bonds.bond, later]), self._beside)
 
-    def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
+    def _meets_criterion(self, touching: Touching) -> np.ndarray:
         """Mask (k,) of the touching vertices that meet the adhesion criterion. Of the strains of both sides, the larger counts."""
         rows, area = touching.rows, touching.area[touching.rows]
         if self.exposure is not None:
@@ -241,7 +243,8 @@ class Impact(Course):
             self.surface.values(self.particle.points.eps_p)[rows], self.target.elements.eps_p[touching.element]
         )
         pressure = touching.force[rows] / area
-        return plan.adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
+        adhesion, ratio = self.domains.plan.adhesion, self.domains.own.velocity_ratio
+        return adhesion.bonded(len(rows), strain, pressure, ratio) & (area > 0.0)
 
     def check_contact(self) -> None:
         """Raise SolverError if too many points lie inside the target: the share of points deeper than one spacing exceeds LOST,

@@ -7,6 +7,7 @@ import numpy as np
 from ..plan.cost import CHUNK
 from .ending import EndCriterion
 from .exchange import Impact
+from .heat import flow, release
 from .recorder import Recorder
 from .touching import Touching
 
@@ -29,15 +30,15 @@ def advance_to_end(
         dt = advance_chunk(impact, end_time)
         if adhesion.criterion == "exposure":
             touching = Touching(impact.domains)
-            impact.expose(recorder.plan, recorder.impact_plan, touching)
-            impact.bond(recorder.plan, recorder.impact_plan, touching)
+            impact.expose(touching)
+            impact.bond(touching)
         force, above, grip = float(impact.force[2]), recorder.is_above(impact), impact.grip
         if recorder.impact_plan.material.is_ceramic and grip == "free" and impact.force.any():
             grip = "embedded"
         ending.observe(impact.time, impact.sinking, force, grip, above, impact.dissipated)
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
-                impact.bond(recorder.plan, recorder.impact_plan, Touching(impact.domains))
+                impact.bond(Touching(impact.domains))
             if recorder.seen.greatest is None:
                 recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))
@@ -56,6 +57,6 @@ def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
         dt = (end_time - impact.time) / steps
     impact.search_contacts(steps * dt)
     impact.advance(steps, dt)  # LAMMPS runs the steps; each step calls impact.exchange_forces
-    impact.domains.paths.flow(steps * dt)
-    impact.domains.paths.release(impact.bonds)
+    flow(impact.domains, steps * dt)
+    release(impact.domains, impact.bonds)
     return dt

@@ -65,15 +65,15 @@ def plastic_zone(target: Target, heights: Callable[[Floats], Floats]) -> tuple[f
     return float(np.sqrt(area / np.pi)), depth
 
 
-def measure(domains: Domains, diameter: float, level: float, ground: Callable[[Floats], Floats]) -> dict[str, float]:
-    """Present measures of an impact in SI units, without the crater. diameter (m): diameter of the particle; level (m): zero of
-    heights; ground: heights of the undeformed ground, as in `plastic_zone`. Means are over mass, percentiles over points."""
+def measure(domains: Domains, level: float) -> dict[str, float]:
+    """Present measures of an impact in SI units, without the crater. level (m): zero of heights. Means are over mass, percentiles over
+    points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = particle.law["rho"]
     matter = particle.mass * (rho[0] / rho[particle.law_of])  # with the density of the surface everywhere
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]
-    m = shape_measures(skin, surface.triangles, diameter)
+    m = shape_measures(skin, surface.triangles, domains.own.diameter)
     whole, outer = domains.whole_surface, enclosed_volume(skin, surface.triangles)
     metal = outer if whole is surface else enclosed_volume(whole.positions(particle.x), whole.triangles)
     m["surface_volume_error"] = metal * float(rho[0]) / float(matter @ particle.points.J) - 1.0
@@ -91,6 +91,6 @@ def measure(domains: Domains, diameter: float, level: float, ground: Callable[[F
     m["target_eps_p_max"] = float(target.elements.plastic_strain.max())
     m["target_T_max_K"] = float(target.elements.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
-    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target, ground)
+    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target, domains.plan.target.heights)
     m["velocity_z_m_s"] = float(particle.totals.momentum[2] / particle.mass.sum())
     return m

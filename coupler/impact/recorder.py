@@ -195,8 +195,7 @@ class Recorder:
     def measures(self, impact: Impact) -> dict[str, float]:
         """Present measures of the impact, SI units."""
         level = impact.domains.level + self._flight(impact)
-        m = measure(impact.domains, self.impact_plan.diameter, level, self.plan.target.heights)
-        return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
+        return {"time_s": impact.time, **measure(impact.domains, level), "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:
         """Height (m) by which a rebounded particle has risen since its last contact. Its shape is measured from this height."""

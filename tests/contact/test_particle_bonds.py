@@ -11,7 +11,7 @@ from sheet import ENERGY, FACETS, SHEAR, SIDE, SQUARE, STIFFNESS, STRENGTH, Shee
 from coupler.contact.bond import Bond
 from coupler.contact.particle_bonds import CONTACT_RANGE, ParticleBonds
 from coupler.core.records import copied
-from coupler.impact.heat import HeatPaths
+from coupler.impact.heat import release
 from coupler.physics.constitutive import heat_capacities
 
 
@@ -250,7 +250,10 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
 
     points, T = Points(), t.elements.T.copy()
     no_friction = SimpleNamespace(constants=SimpleNamespace(share=share), heat_point=np.zeros(0), heat_face=np.zeros(0))
-    HeatPaths(points, t, points, no_friction).release(bonds)
+    plan = SimpleNamespace(effects=SimpleNamespace(friction_heat=True))
+    release(
+        SimpleNamespace(plan=plan, particle=points, target=t, surface=points, contact=no_friction, folding=None), bonds
+    )
     law = t.laws[t.law_of]
     gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.elements.T - T)))
     assert points.heat.sum() == pytest.approx(share * ENERGY * area.sum(), rel=0.01)

@@ -209,10 +209,10 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
 def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The last impact cannot be meshed and is skipped; the run ends as the bodies cool."""
 
-    def join(plan: Any, i: int, *more: Any) -> Any:
-        if i > 0:
+    def join(impact: Any, *more: Any) -> Any:
+        if impact.domains.i > 0:
             raise SolverError("the cloud has a hole")
-        return true_join(plan, i, *more)
+        return true_join(impact, *more)
 
     def cool(*_: Any) -> Any:
         raise KeyboardInterrupt
@@ -280,10 +280,10 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
     true_join, true_impact = task.join, task.run_impact
     reason = "not at rest at its time limit" if how == "undecided" else "the cloud has a hole"
 
-    def join(plan: Any, i: int, *more: Any) -> Any:
-        if plan.impacts[i].material.name == "Ti":
+    def join(impact: Any, *more: Any) -> Any:
+        if impact.domains.own.material.name == "Ti":
             raise SolverError(reason)
-        return true_join(plan, i, *more)
+        return true_join(impact, *more)
 
     def run_impact(plan: Any, i: int, *more: Any) -> Any:
         impact, record = true_impact(plan, i, *more)

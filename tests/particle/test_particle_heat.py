@@ -129,7 +129,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     from coupler.fe import mesh as meshes
     from coupler.fe.explicit import Target
     from coupler.geometry import mesher
-    from coupler.impact.heat import HeatPaths
+    from coupler.impact.heat import flow
     from coupler.particle.carried_surface import CarriedSurface
 
     body = shapes.cylinder(1.0, 2.0, 4000)
@@ -150,10 +150,11 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     p.warm = lambda heat: T.__iadd__(heat / (RHO * CP * body.volume))
     contact = SimpleNamespace(touching=lambda first: (foot, under))
     inside = PointConduction(X, body.spacing, np.full(len(X), body.volume), upper)
-    paths = HeatPaths(p, t, surface, contact, True, inside, True)
+    plan = SimpleNamespace(effects=SimpleNamespace(interface_conduction=True))
+    domains = SimpleNamespace(plan=plan, particle=p, target=t, surface=surface, contact=contact, conduction=inside)
     time, steps = 0.3**2 / ALPHA, 60
     for _ in range(steps):
-        paths.flow(time / steps)
+        flow(domains, time / steps)
         t.conduction.conduct_for(time / steps, t)
     gained = 15600.0 * CP * float(m.V0 @ (t.elements.T - 300.0))
     lost = RHO * CP * body.volume * float(np.sum(600.0 - T))

@@ -298,9 +298,9 @@ WIDE = {"substrate__diameter": "800 um", "substrate__height": "400 um"}
 def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without effects nothing of them is built, and none of their code is called in a step; with all of them it is."""
     from coupler.fe import explicit
+    from coupler.impact import heat
     from coupler.impact.domains import build_domains
     from coupler.impact.exchange import Impact
-    from coupler.impact.heat import HeatPaths
     from coupler.impact.loop import advance_chunk
     from coupler.particle.heat import PointConduction
 
@@ -315,7 +315,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(owner, name, wrapper)
 
-    for owner, name in ((PointConduction, "share"), (HeatPaths, "crossing"), (explicit.Conduction, "advance")):
+    for owner, name in ((PointConduction, "share"), (heat, "crossing"), (explicit.Conduction, "advance")):
         spy(owner, name)
     spy(explicit.Target, "warm")
     for effects_of in ("none", "all"):
