@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.surfaces import Surfaces, earlier_neighbours, interface
+from ..core.records import Rows, concatenate, new_rows, take
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors, compact
 
@@ -21,18 +23,14 @@ class Joints:
     barycentric coordinates of the opposite point; normal (n,3): outward normal of the facet; gap (n,) m; area (n,) m2; bonded (n,):
     True if both sides have the same displacement, False if they only touch; law (n,k): further values of the node's bond."""
 
-    nodes: NDArray
-    triangles: NDArray
-    weights: NDArray
-    normal: NDArray
-    gap: NDArray
-    area: NDArray
-    bonded: NDArray
-    law: NDArray
-
-    def only(self, which: NDArray) -> "Joints":
-        """The joints that a mask (n,) selects."""
-        return Joints(*(values[which] for values in vars(self).values()))
+    nodes: Annotated[NDArray, Rows(dtype=int)]
+    triangles: Annotated[NDArray, Rows(3, dtype=int)]
+    weights: Annotated[NDArray, Rows(3)]
+    normal: Annotated[NDArray, Rows(3)]
+    gap: Annotated[NDArray, Rows()]
+    area: Annotated[NDArray, Rows()]
+    bonded: Annotated[NDArray, Rows(dtype=bool)]
+    law: Annotated[NDArray, Rows(-1)]
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def clip(
 
 def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
     """Joints between each body and those before it. Bonded nodes belong to the later body; touching nodes to either."""
-    found = []
+    found = [new_rows(Joints, 0, law=at_nodes[:0, 2:])]
     near = earlier_neighbours(surfaces, points, reach) if len(surfaces.facets) else []
     for later in (number for number, earlier in enumerate(near) if earlier):
         pairs = interface(surfaces, points, later, reach, near[later])
@@ -140,8 +138,5 @@ def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float
         # where a face is near, some of the node is bonded
         law = at_nodes[pairs.nodes, 2:] / np.maximum(at_nodes[pairs.nodes, :1], 0.5)
         joints = Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law)
-        found.append(joints.only(kept))
-    n, three, law = np.zeros(0), np.zeros((0, 3)), at_nodes[:0, 2:]
-    none = Joints(n.astype(int), three.astype(int), three, three, n, n, n.astype(bool), law)
-    columns = zip(*(vars(each).values() for each in [none, *found]), strict=True)
-    return Joints(*(np.concatenate(column) for column in columns))
+        found.append(take(joints, kept))
+    return concatenate(found)

@@ -16,6 +16,7 @@ from scipy.sparse import block_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
+from ..core.records import take
 from ..errors import SolverError
 from ..fe.statics import gradient_products
 from ..geometry.triangles import area_vectors
@@ -173,7 +174,7 @@ def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -
         for i in range(3)
     ]
     K = csr_array(block_array(rows, format="csr"))
-    touching = block.joints.only(~block.joints.bonded)
+    touching = take(block.joints, ~block.joints.bonded)
     jump = _jump(touching, len(block.points))
     across = csr_array(block_array([[diags_array(touching.normal[:, i]) @ jump for i in range(3)]], format="csr"))
     size = float(np.cbrt(block.volume / len(block.tets)))
@@ -194,7 +195,7 @@ def conducting(block: Block, conductivity: NDArray, conductance: float) -> Probl
     surfaces that touch without a bond. Bonded nodes have the temperature of the opposite points."""
     products = gradient_products(block.points, block.tets, conductivity)
     K = products[0][0] + products[1][1] + products[2][2]
-    touching = block.joints.only(~block.joints.bonded)
+    touching = take(block.joints, ~block.joints.bonded)
     jump = _jump(touching, len(block.points))
     spring = conductance * touching.area / (1.0 + conductance * abs(touching.gap) / float(conductivity.max()))
     return _problem(block, csr_array(K + jump.T @ diags_array(spring) @ jump), 1)
@@ -215,7 +216,7 @@ def _problem(block: Block, K: csr_array, components: int) -> Problem:
     for axis in range(3):
         area[axis] = np.bincount(block.walls.ravel(), np.repeat(vectors[:, axis] / 3.0, 3), n)
         on_face[axis, block.walls[abs(vectors[:, axis]) > 0.5 * np.linalg.norm(vectors, axis=1)]] = True
-    return Problem(K, block.points, block.joints.only(block.joints.bonded), components, on_face, area, block.volume)
+    return Problem(K, block.points, take(block.joints, block.joints.bonded), components, on_face, area, block.volume)
 
 
 def _solved(K: csr_array, load: NDArray) -> tuple[NDArray, bool]:

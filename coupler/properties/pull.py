@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.bond import Bond, penalty
+from ..core.records import take
 from ..errors import SolverError, StoreError
 from ..fe.explicit import Target
 from ..fe.mesh import prepare_ordered
@@ -208,7 +209,7 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
         law |= {f"{direction}strength": strength, f"{direction}energy": 0.5 * strength * width}
 
     def tie(of: NDArray, **law: Any) -> Bond:
-        rows, x = joints.only(of), t.nodes.x
+        rows, x = take(joints, of), t.nodes.x
         return Bond.tie(node[rows.nodes], node[rows.triangles], x, x, rows.area, stiffness, **law)
 
     touching = tie(~joints.bonded, strength=1.0, energy=0.0)
