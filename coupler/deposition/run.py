@@ -2,11 +2,14 @@
 
 import math
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Any
+
+from numba.core import event
 
 from .. import __version__, report
 from ..core.process import cores, interrupted_by
@@ -29,7 +32,6 @@ from ..ranks import ranks as parallel
 from .batches import workers
 from .error import Companions
 from .fold import Deposition
-from .log import logged
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
 FEW_POINTS = 2000  # for fewer points a second thread saves little time (docs/evidence/speed.md)
@@ -170,6 +172,43 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
             deposition.write_files()  # also after an error: the results so far are readable
         deposition.finish(deposition.cool(target))
     return Result(folder)
+
+
+@contextmanager
+def logged(progress: Progress, store: Store) -> Iterator[None]:
+    """Context that writes all lines of the progress, and an error that ends the run, to the log file of the run. The compilation of
+    kernels is shown as a stage of the progress."""
+    progress.record = store.log
+    try:
+        with event.install_listener("numba:compile", _Compiling(progress)):
+            yield
+    except KeyboardInterrupt as stop:
+        by = f"the signal {signal.Signals(stop.args[0]).name}" if stop.args else "the user"
+        progress.record(f"stopped by {by}")
+        raise
+    except BaseException as error:
+        progress.record(f"{type(error).__name__}: {error}")
+        raise
+    finally:
+        progress.stop()
+        progress.record = lambda text: None
+
+
+class _Compiling(event.TimingListener):
+    """Shows the compilation of kernels as a stage, and records its duration."""
+
+    def __init__(self, progress: Progress):
+        super().__init__()
+        self.progress = progress
+
+    def on_start(self, event: event.Event) -> None:
+        self.progress.stage("compiling the kernels (only once on this machine)")
+        super().on_start(event)
+
+    def on_end(self, event: event.Event) -> None:
+        super().on_end(event)
+        if self.done:
+            self.progress.compiling = self.duration
 
 
 def _complete(result: Result, companions: Companions | None, options: RunOptions) -> Result:
