@@ -98,10 +98,10 @@ def side_by_side(
                     threads = options.threads // len(left)
                     spare.write_text(str(threads))
                 wait(left, _POLL, FIRST_COMPLETED)
-                if signals.number and not stop.exists():
+                if signals and not stop.exists():
                     stop.touch()
-            if signals.number:
-                raise Stopped(signals.number)
+            if signals:
+                raise Stopped(signals[0])
             return [Done(task, cut, future.result()) for task, cut, future in begun]
         except BrokenExecutor as error:
             which = f"impacts {begun[0][0].i + 1} to {begun[-1][0].i + 1}" if begun else "impacts"

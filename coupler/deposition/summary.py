@@ -46,7 +46,9 @@ def summary(
     records: records of the impacts; joins: reports of the joining of splats; standing: shape of each splat at the end, None for a
     splat that has left (`target.positions.splats_at_end`); wall: wall time, s; closing: report of the closing stage.
     """
-    detached = _detached([*joins, closing or {}])
+    reports, detached = [*joins, closing or {}], dict[int, float]()  # detached: mass (kg) that has come off each splat
+    for each in (each for report in reports for each in report.get("detached", [])):
+        detached[each["splat"]] = detached.get(each["splat"], 0.0) + each["mass_kg"]
     fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
     expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts report the values they reached
@@ -86,7 +88,7 @@ def summary(
                     for n, kg in fragments.items()
                     if (share := kg / impacts[n - 1]["particle_mass_kg"]) > FRAGMENTS
                 ),
-                *(text for report in [*joins, closing or {}] for text in unsettled(report)),
+                *(text for report in reports for text in unsettled(report)),
                 *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),
                 *merged([*expected, *own]),
             ],
@@ -120,14 +122,6 @@ def unsettled(report: Values) -> list[str]:
     if "impact" in report:
         when, then = f"after impact {report['impact']}", "the later pauses reduce the imbalance"
     return [f"{when} the bodies have not reached equilibrium in {RELAX_STEPS} steps: {then}"]
-
-
-def _detached(reports: Sequence[Values]) -> dict[int, float]:
-    """Mass (kg) that has come off each splat, by its number. reports: of the joining of splats and of the closing stage."""
-    mass: dict[int, float] = {}
-    for record in (record for report in reports for record in report.get("detached", [])):
-        mass[record["splat"]] = mass.get(record["splat"], 0.0) + record["mass_kg"]
-    return mass
 
 
 def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:

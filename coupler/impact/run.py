@@ -21,7 +21,7 @@ from .exchange import Impact, ImpactState
 from .loop import advance_to_end
 from .recorder import Recorded, Recorder
 from .retry import Retry, next_retry
-from .stop import Stopped, StopSignals, stop_signals
+from .stop import Stopped, stop_signals
 from .summary import ImpactRecord, summarise
 from .verdict import is_tied
 
@@ -118,7 +118,7 @@ def run_impact(
 
 def _record(
     impact: Impact, ending: EndCriterion, recorder: Recorder, retries: list[Retry], options: RunOptions, watch: "_WallClock",
-    signals: StopSignals, save: Callable[[RunningState], None],
+    signals: list[int], save: Callable[[RunningState], None],
 ) -> ImpactRecord:  # fmt: skip
     """Compute the impact to its end. Write a checkpoint there if the impact can continue later."""
     saved = clock.perf_counter()
@@ -130,11 +130,11 @@ def _record(
     def keep() -> None:
         """Write a checkpoint if one is due. After a signal, write one and raise Stopped."""
         nonlocal saved
-        if signals.number or clock.perf_counter() - saved >= options.checkpoint_every:
+        if signals or clock.perf_counter() - saved >= options.checkpoint_every:
             save_state()
             saved = clock.perf_counter()
-        if signals.number:
-            raise Stopped(signals.number)
+        if signals:
+            raise Stopped(signals[0])
 
     recorder.start(impact)
     watch.start_loop()

@@ -12,21 +12,16 @@ class Stopped(KeyboardInterrupt):
     """The run has stopped after a signal and has written a checkpoint. Its argument is the number of the signal."""
 
 
-class StopSignals:
-    """The signals so far. number: number of the first signal, 0 if there is none. A second signal interrupts the program at once."""
-
-    number = 0
-
-    def note(self, number: int, _frame: FrameType | None) -> None:
-        """Record a received signal."""
-        if self.number:
-            raise KeyboardInterrupt
-        self.number = number
-
-
 @contextmanager
-def stop_signals() -> Iterator[StopSignals]:
-    """Context manager in which SIGINT and SIGTERM are only recorded, so that the current chunk of steps is completed."""
-    signals = StopSignals()
-    with handled(signals.note, signal.SIGINT, signal.SIGTERM):
+def stop_signals() -> Iterator[list[int]]:
+    """Context in which a first SIGINT or SIGTERM is only recorded, in the list that the context gives: the current chunk of steps is
+    completed. A second one interrupts the program at once."""
+    signals = list[int]()
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        if signals:
+            raise KeyboardInterrupt
+        signals.append(number)
+
+    with handled(note, signal.SIGINT, signal.SIGTERM):
         yield signals

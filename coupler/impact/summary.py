@@ -47,7 +47,8 @@ def summarise(
     undecided, or if it is the rebound velocity of a particle that does not rebound.
     """
     # a coating continues without a particle that has slid off it
-    several, broken = len(recorder.plan.impacts) > 1, _broken(recorder)
+    several, cracked = len(recorder.plan.impacts) > 1, _cracked(recorder) if recorder.impact_plan.brittle == 0 else ""
+    broken = cracked and f"{cracked}: it counts as broken and not deposited, but is computed as whole"
     is_lost = several and ending.slid_off(impact.time)
     undecided = None if is_lost or (several and broken) else ending.undecided(impact.time, impact.sinking)
     particle, measured = impact.particle, recorder.measures(impact)
@@ -83,12 +84,6 @@ def summarise(
     values = {**own, "greatest": greatest, "end": end, "refused": refused, "errors": {}}
     warnings = [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)]
     return ImpactRecord(values, warnings, list(retries), sum(particle.everywhere(peak_memory)))
-
-
-def _broken(recorder: Recorder) -> str:
-    """Why a ceramic particle is broken; "" for a whole one, for a metal, and for a ceramic core in a shell of metal."""
-    text = _cracked(recorder) if recorder.impact_plan.brittle == 0 else ""
-    return text and f"{text}: it counts as broken and not deposited, but is computed as whole"
 
 
 def _cracked(recorder: Recorder) -> str:

@@ -345,10 +345,8 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
-    z, volume = (
-        middle[own, 2] - splats.ground(middle[own, :2]),
-        np.abs(volumes(splats.mesh.points, splats.mesh.cells[own])),
-    )
+    z = middle[own, 2] - splats.ground(middle[own, :2])
+    volume = np.abs(volumes(splats.mesh.points, splats.mesh.cells[own]))
     tensors = {"sigma": splats.mesh.data["stress"], "thermal": splats.mesh.data.get("thermal_stress")}
     columns = {
         f"{name}_{axis}": tensor[own, i].astype(float)
@@ -383,10 +381,7 @@ def growth(result: Result, radius: float | None = None) -> list[Growth]:
 
 def latest(result: Result) -> Growth:
     """The row after the impacts that are finished so far. Raises StoreError if no impact is finished."""
-    number = int(result.history("impact").max(initial=0.0))
-    if number < 2:
-        raise StoreError(f"{result.directory}: no impact is finished yet: try again later")
-    built = read(result, number)
+    built = read(result, int(result.history("impact").max(initial=0.0)))
     return growth_row(built, disc_radius(built))
 
 

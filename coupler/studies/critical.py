@@ -69,13 +69,6 @@ class Bracket:
         """Half the width of the bracket, m/s; infinite if there is no bracket."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
-    def halvings(self, tolerance: float) -> int:
-        """Number of times that the bracket must be halved until its width is `tolerance` times its middle; 0 if there is no
-        bracket."""
-        if self.velocity is None:
-            return 0
-        return max(math.ceil(math.log2(2.0 * self.half_width / (tolerance * self.velocity))), 0)
-
     @property
     def band(self) -> tuple[float | None, float | None]:
         """The two velocities (m/s) at which the fractions BAND of the placements stick, by linear interpolation between runs. The
@@ -259,10 +252,11 @@ def search(
         write_rows(folder / TABLE, COLUMNS, rows, about)
         sticking, found = [row["verdict_by_bonds"] for row in here].count(STICKS), answer_of(rows, repeat)
         told = f"{sticking} of {repeat} stick" if repeat > 1 else here[0]["verdict_by_bonds"]
-        seconds, left = time.monotonic() - begun, found.halvings(tolerance)
-        to_go = f"{duration(seconds)} for each velocity" + (
-            f", about {duration(left * seconds)} remaining" if left else ""
-        )
+        seconds, left = time.monotonic() - begun, 0  # left: halvings of the bracket
+        if found.velocity is not None:
+            left = max(math.ceil(math.log2(2.0 * found.half_width / (tolerance * found.velocity))), 0)
+        to_go = f"{duration(seconds)} for each velocity"
+        to_go += f", about {duration(left * seconds)} remaining" if left else ""
         log(f"{which} {told}; {found.words}; {to_go}")
     rows.sort(key=lambda row: (row["velocity_m_s"], row["placement"]))
     write_rows(folder / TABLE, COLUMNS, rows, about)
