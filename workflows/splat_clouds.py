@@ -214,24 +214,22 @@ def synthetic() -> dict[str, Callable[[], Made]]:
     """The synthetic clouds by name."""
     clouds: dict[str, Callable[[], Made]] = {}
 
-    def add(name: str, body: Callable[[], shapes.Body], motion: Map, carried: bool = True) -> None:
-        clouds[name] = lambda: mapped(body(), motion, carried)
+    def add(name: str, body: Callable[[], shapes.Body], motion: Map, ways: tuple[bool, ...] = (True,)) -> None:
+        for carried in ways:  # with its surface, or its points only
+            label = name if carried else f"{name}_points_only"
+            clouds[label] = lambda carried=carried: mapped(body(), motion, carried)  # type: ignore[misc]
 
     for n in (500, 2000, 20000, 89094):
-        add(f"lens_{n}", partial(ball, n), lens)
-        add(f"lens_{n}_points_only", partial(ball, n), lens, carried=False)
+        add(f"lens_{n}", partial(ball, n), lens, (True, False))
     for n in (2000, 20000):
-        add(f"lip_{n}", partial(ball, n), lip)
-        add(f"lip_{n}_points_only", partial(ball, n), lip, carried=False)
+        add(f"lip_{n}", partial(ball, n), lip, (True, False))
     add("long_lip_5000", partial(ball, 5000), partial(lip, out=2.6))
     add("star_5000", partial(ball, 5000), starred)
-    add("star_1000_points_only", partial(ball, 1000), starred, carried=False)
+    add("star_1000", partial(ball, 1000), starred, (False,))
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
         add(f"{shape}_3000", partial(shapes.shape, shape, D, 3000), np.copy)
-    hollow, rod = partial(shapes.shape, "hollow_sphere", D, 3000), partial(shapes.shape, "rod", D, 3000)
-    for carried, label in ((True, ""), (False, "_points_only")):
-        add(f"hollow_lens_3000{label}", hollow, lens, carried)
-        add(f"curled_rod_3000{label}", rod, curled, carried)
+    add("hollow_lens_3000", partial(shapes.shape, "hollow_sphere", D, 3000), lens, (True, False))
+    add("curled_rod_3000", partial(shapes.shape, "rod", D, 3000), curled, (True, False))
     add("sheet_2000", partial(ball, 2000), lambda x: x * [2.6, 2.6, 1 / 6.76])
     for gap in (0.6, 1.0, 2.0, 6.0):
         clouds[f"two_balls_gap_{gap:g}"] = partial(pair, 1500, gap)
