@@ -21,7 +21,7 @@ from study_table import REMAKE, TABLES, Row, column, measurements, number, study
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.impact.exchange import Impact
-from coupler.impact.touching import softer_strength
+from coupler.impact.touching import Touching
 from coupler.physics.materials import material
 from coupler.studies.critical import Bracket, at_velocity, bracket, point_name, rows_at
 from coupler.studies.table import write_rows
@@ -132,8 +132,8 @@ def profile() -> Iterator[dict[str, object]]:
             flow = np.full(
                 impact.surface.weights.shape[0], np.inf
             )  # of the softer metal; far from the target there is none
-            near, facets = impact.contact.touching(len(flow), 10.0 * impact.particle.spacing)
-            flow[near] = softer_strength(impact.domains, near, facets)
+            near = Touching(impact.domains, 10.0)
+            flow[near.rows] = near.strength
             values["flow"], values["clean"] = flow[nodes], exposure.clean[nodes, 0]
 
     with computed(Scene.from_text(at_velocity(scene, VELOCITY_AL)), probe=probe):

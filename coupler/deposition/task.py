@@ -3,7 +3,7 @@
 import math
 import signal
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,9 +50,9 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without a closing stage:
-    the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined: reports of
-    `prepare` and `join`; store: state of the files."""
+    """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without closing stage:
+    those at its end, and an empty `joined`. record: of the impact; prepared, joined: reports of `prepare`, `join`; store: of the
+    files."""
 
     bodies: BodiesState
     record: ImpactRecord
@@ -72,8 +72,7 @@ class TaskState:
 
 @dataclass(frozen=True)
 class TaskFiles:
-    """Output files of a task. kept: its last checkpoint, None if there is none; store: result files, set back to the time of `kept`;
-    save: function that writes a checkpoint."""
+    """Output files of a task. kept: its last checkpoint or None; store: result files at that time; save: writes a checkpoint."""
 
     store: Store
     kept: TaskState | None
@@ -124,9 +123,7 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
 def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> TaskResult | ColdsprayError:
     """The result of `run_task`, or the error if the impact fails. files: output files; None: the files in the folder of the task."""
     try:
-        if files is not None:
-            return run_task(task, options, files)
-        with own_files(task, options.progress.log) as own:
+        with own_files(task, options.progress.log) if files is None else nullcontext(files) as own:
             return run_task(task, options, own)
     except (SolverError, NoContactError) as error:
         return error

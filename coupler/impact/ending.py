@@ -86,8 +86,7 @@ class EndCriterion(EndState):
             self.loud = time
 
     def reached(self, time: float) -> bool:
-        """Whether the impact is over at `time` s, the time of the last observation: its criterion is met, its time limit is reached, or
-        the particle has slid off the target over its rim."""
+        """Whether the impact is over at `time` s, that of the last observation: by its criterion or time limit, or over the rim."""
         return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
@@ -101,11 +100,6 @@ class EndCriterion(EndState):
         bonds have stopped its rebound, or it has been slow for `held_quiet` s (bonded) or hardly deforms (tied)."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
-
-    @property
-    def touches(self) -> bool:
-        """Whether the contact had a force when last observed. If so, it holds an embedded particle."""
-        return self.loud == self.time
 
     def slid_off(self, time: float) -> bool:
         """Whether the particle has left over the rim of the target: its contact has had no force for `quiet` s beyond the rim."""
@@ -121,8 +115,7 @@ class EndCriterion(EndState):
         return self.peak > 0.0
 
     def undecided(self, time: float, sinking: float) -> str | None:
-        """Reason why the impact ended at `time` s without meeting its criterion; None if the criterion is met. sinking (m/s):
-        speed of the centre of mass towards the ground."""
+        """Why the impact ended at `time` s without meeting its criterion; None if it is met. sinking (m/s): as in `observe`."""
         if self.met(time):
             return None
         aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]

@@ -3,7 +3,7 @@
 import resource
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from .recorder import Recorder
 from .retry import Retry
 from .verdict import verdict_values
 
-V = TypeVar("V")
 # in addition to the measures at the end
 _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
@@ -29,8 +28,7 @@ BROKEN_SHARE = 0.01
 
 @dataclass(frozen=True)
 class ImpactRecord:
-    """Record of a finished impact for summary.json. values: its entry in `impacts`; warnings, retries: its entries in the lists of
-    the run; memory_peak: largest memory of all processes, bytes."""
+    """Entries of a finished impact in summary.json. values: in `impacts`; warnings, retries: in those lists; memory_peak: bytes."""
 
     values: Values
     warnings: list[str]
@@ -58,7 +56,8 @@ def summarise(
     if ground.is_polymer and recorder.impact_plan.formula.base == ground.name:
         sunk = impact.domains.level - float(particle.mass @ particle.x[:, 2]) / mass
     law, impact_plan = recorder.plan.adhesion, recorder.impact_plan
-    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, ending.touches, broken, sunk, speed)
+    touches = ending.loud == ending.time  # the contact had a force when last observed: it holds an embedded particle
+    own = verdict_values(law, impact_plan, mass, upwards, impact.bonds, is_lost, touches, broken, sunk, speed)
     own |= _computed(impact, recorder)
     own |= {"wall_s": wall, "wall_loop_s": looped, "idle_share": particle.idle(looped), "undecided": undecided}
     end: Values = {**measured}
@@ -124,7 +123,7 @@ def _computed(impact: Impact, recorder: Recorder) -> Values:
     }
 
 
-def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") -> dict[str, V | None]:
+def accepted(values: Mapping[str, Any], refused: dict[str, str], block: str = "") -> dict[str, Any]:
     """The values, with None in place of values outside their range. The reasons are added to `refused`, under the key block + key."""
     kept, reasons = within_range(values)
     refused |= {block + key: reason for key, reason in reasons.items()}

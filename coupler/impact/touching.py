@@ -11,12 +11,12 @@ from .domains import Domains
 
 
 class Touching:
-    """Vertices in contact. rows (k,): vertices within CONTACT_RANGE spacings of the target; facets (k,): facet under each."""
+    """Vertices in contact. rows (k,): vertices within `reach` spacings of the target; facets (k,): facet under each."""
 
-    def __init__(self, domains: Domains):
+    def __init__(self, domains: Domains, reach: float = CONTACT_RANGE):
         self._domains = domains
         vertices = domains.surface.weights.shape[0]
-        self.rows, self.facets = domains.contact.touching(vertices, CONTACT_RANGE * domains.particle.spacing)
+        self.rows, self.facets = domains.contact.touching(vertices, reach * domains.particle.spacing)
 
     @cached_property
     def area(self) -> np.ndarray:
@@ -36,8 +36,13 @@ class Touching:
 
     @cached_property
     def strength(self) -> np.ndarray:
-        """Flow stress (k,) Pa of the softer metal at each vertex in contact (`softer_strength`)."""
-        return softer_strength(self._domains, self.rows, self.facets)
+        """Flow stress (k,) Pa of the softer metal at each vertex in contact, at slow rate, present strain and temperature."""
+        surface, particle, target = self._domains.surface, self._domains.particle, self._domains.target
+        at, p, e = self.element, particle.points, target.elements
+        eps_p, T, gradient = (surface.values(values)[self.rows] for values in (p.eps_p, p.T, p.eps_gradient))
+        own = yield_stresses(particle.law, np.zeros(len(at), np.int32), eps_p, T, gradient)
+        other = yield_stresses(target.laws, target.law_of[at], e.eps_p[at], e.T[at], e.eps_gradient[at])
+        return np.minimum(own, other)
 
     @property
     def pressed(self) -> np.ndarray:
@@ -46,13 +51,3 @@ class Touching:
         beside = np.zeros(len(pressing), bool)
         beside[triangles[pressing[triangles].any(axis=1)]] = True
         return beside[self.rows] | pressing[self.rows]
-
-
-def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Flow stress (k,) Pa of the softer metal at vertices `rows` (k,) on facets (k,), at slow rate, present strain and temperature."""
-    surface, particle, target = domains.surface, domains.particle, domains.target
-    at, p, e = target.mesh.facet_element[facets], particle.points, target.elements
-    eps_p, T, gradient = (surface.values(values)[rows] for values in (p.eps_p, p.T, p.eps_gradient))
-    own = yield_stresses(particle.law, np.zeros(len(rows), np.int32), eps_p, T, gradient)
-    other = yield_stresses(target.laws, target.law_of[at], e.eps_p[at], e.T[at], e.eps_gradient[at])
-    return np.minimum(own, other)

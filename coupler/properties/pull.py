@@ -29,7 +29,7 @@ from ..physics.constitutive import law_record, yield_stresses
 from ..report.figure import blank, save
 from ..studies.table import write_rows
 from .block import Block
-from .measure import Sample, cold_coating, corners, extract_sample
+from .measure import cold_coating, corners, extract_sample
 
 # Strength times thickness of the film over the central value: range of Ni, Cu, Al (docs/theory/bonds.md)
 FILM = (1.0, 0.4, 2.0)
@@ -95,16 +95,16 @@ def strengths(
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
         each, ground = films if law is not None else (None,), int(np.count_nonzero(splats.impact == 0))
-        found += [pull(sample, laws, *state, direction, film, ground) for film in each]
+        found += [pull(sample.block, laws, *state, direction, film, ground) for film in each]
     return found
 
 
 def pull(
-    sample: Sample, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
+    block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
 ) -> Pull:  # fmt: skip
     """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground:
     number of the first bodies that are the substrate and its layers. Raises SolverError if a tetrahedron inverts before the peak."""
-    machine, greatest = Machine(sample.block, laws, eps_p, T, AXES[direction], film), 0.0
+    machine, greatest = Machine(block, laws, eps_p, T, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
         try:
@@ -115,9 +115,9 @@ def pull(
             break
         greatest = max(greatest, rows[-1]["stress_Pa"])
     t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
-    was_bonded = np.arange(len(bond)) < sample.block.joints.bonded.sum()  # the others come after them
+    was_bonded = np.arange(len(bond)) < block.joints.bonded.sum()  # the others come after them
     owner = np.zeros(len(t.nodes.x), int)
-    owner[t.mesh.conn] = np.unique(sample.block.body)[t.law_of][:, None]
+    owner[t.mesh.conn] = np.unique(block.body)[t.law_of][:, None]
     lost = bond.area * ((bond.damage > 0.5) & was_bonded)
     below = np.minimum(owner[bond.nodes], owner[bond.triangles[:, 0]]) < ground
     in_bonds, in_metal, work = (rows[-1][key] for key in ("bonds_J", "plastic_J", "work_J"))

@@ -70,10 +70,9 @@ class Sweep:
         """Make a sweep from nested dicts, as TOML gives them. Raises SceneError with all problems.
 
         data["scene"]: the scene as a table, or the name of its file, relative to `source`. data["points"]: keys of the scene, such as
-        particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter,
-        velocity and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key
-        (`quantile_of`). data["target"]: diameter and height of the target divided by the diameter of the particle, for a
-        scene that gives no such sizes.
+        particle.velocity, in a table of lists (all are combined) or in a list of tables (each is a point); material, diameter, velocity
+        and temperature mean those of the particle. data["ensemble"]: `runs`, `seed`, and a distribution for each key (`quantile_of`).
+        data["target"]: diameter and height of the target over the diameter of the particle, if the scene has none.
         """
         unknown = [key for key in data if key not in _KEYS]
         problems = [f"{key}: unknown key{units.nearest(key, _KEYS)}; known: {', '.join(_KEYS)}" for key in unknown]
@@ -152,8 +151,7 @@ def _base(scene: object, source: str, problems: list[str]) -> Table:
 
 
 def _ratios(target: object, problems: list[str]) -> dict[str, float]:
-    """Diameter and height of the target, each divided by the diameter of the particle: SUBSTRATE, changed by the values of
-    `target`."""
+    """Diameter and height of the target, over the diameter of the particle: SUBSTRATE, changed by the values of `target`."""
     ratios = dict(SUBSTRATE)
     for key, value in target.items() if isinstance(target, Mapping) else [("", None)]:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -169,7 +167,9 @@ def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
     """A list of (key with dots, value) for each value in nested tables. A distribution counts as one value."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
-        if isinstance(value, Mapping) and not is_distribution(value):
+        inner = value if isinstance(value, Mapping) else {}
+        is_law = any(keys[0] in inner and not isinstance(inner[keys[0]], Mapping) for keys in KINDS.values())
+        if isinstance(value, Mapping) and not is_law:
             yield from _flat(value, f"{name}.")
         else:
             yield name, value
@@ -229,8 +229,7 @@ def _ensemble(table: object, source: str) -> list[Settings]:
 
 
 def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
-    """The scene of a point: the base with the point's settings, and with a size of the target if the base has none. Raises ValueError
-    for a key that does not exist."""
+    """The scene of a point: the base with its settings, and a size of the target if it has none. Raises ValueError (unknown key)."""
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)
@@ -245,11 +244,6 @@ def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
         if isinstance(substrate, dict) and side not in substrate:
             substrate[side] = units.rounded(ratio * size, "um", 12)
     return scene
-
-
-def is_distribution(table: Mapping[str, object]) -> bool:
-    """Whether a table describes a distribution (and not keys of a scene)."""
-    return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
 
 
 def quantile_of(table: object) -> Quantile:

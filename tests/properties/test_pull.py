@@ -12,7 +12,6 @@ from coupler.errors import SolverError, StoreError
 from coupler.physics.constitutive import law_record, yield_stresses
 from coupler.physics.materials import material
 from coupler.properties.block import Block
-from coupler.properties.measure import Sample
 from coupler.properties.pull import RATE_TIME, STRAIN, Machine, Pull, pull, strengths
 
 CU = material("OFHC_Cu")
@@ -30,9 +29,8 @@ def pulled(
 ) -> Pull:
     """The block of cold-worked copper with equal bonds, as strong in shear."""
     law = np.tile([strength, strength, energy, energy], (len(block.joints.nodes), 1))
-    sample = Sample(replace(block, joints=replace(block.joints, law=law)), [CU, CU], 2.0)
-    m = len(block.tets)
-    return pull(sample, LAWS, np.full(m, 0.5), np.full(m, 300.0), direction, film)
+    m, bonded = len(block.tets), replace(block, joints=replace(block.joints, law=law))
+    return pull(bonded, LAWS, np.full(m, 0.5), np.full(m, 300.0), direction, film)
 
 
 def share(block: Block) -> float:
