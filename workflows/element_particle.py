@@ -63,8 +63,7 @@ class ElementImpact:
             eps_p=np.zeros(m), T=np.full(m, p.temperature), eps_gradient=np.zeros((m, 3)),
         )  # fmt: skip
         substrate = build_target(plan)
-        parts = [domain_now(substrate.target, substrate.body), domain_of(body, "splat1")]
-        domain, _ = merge(parts, (0.0, 0.0, 0.0))
+        domain, _ = merge([domain_now(substrate.target, substrate.body), domain_of(body, "splat1")], (0.0, 0.0, 0.0))
         self.bodies = substrate.remade(domain)
         self.target = t = self.bodies.target
         self.bodies.touch()

@@ -178,8 +178,7 @@ def splat_part(rows: Sequence[Row]) -> list[str]:
     for name, (hardness, error) in SPLAT["nanohardness_GPa"].items():
         mean, scatter = SPLAT["measured"][name]
         lines.append([f"{hardness:.2f} ± {error:.2f}", f"powder {name}", "", f"{mean:.2f} ± {scatter:.2f}"])
-    head = ["hardness, GPa", "metal", "computed", "measured"]
-    return markdown(head, sorted(lines), done)
+    return markdown("hardness, GPa | metal | computed | measured", sorted(lines), done)
 
 
 def suspects_part(rows: Sequence[Row]) -> list[str]:

@@ -83,8 +83,7 @@ def shape(dice: random.Random, diameter: float, spacing: float) -> dict[str, Any
     }
     said: dict[str, Any] = {name: kinds[name] for name in kinds if dice.random() < 0.07}
     if not said and dice.random() < 0.15:
-        thick = diameter * log_between(dice, 0.1, 0.8)
-        thickness = f"{max(thick, 1.75 * spacing):.4g} um"
+        thickness = f"{max(diameter * log_between(dice, 0.1, 0.8), 1.75 * spacing):.4g} um"
         layers = [{"material": dice.choice(MATERIALS), "thickness": thickness} for _ in range(2)]
         said = {"layer": layers[: dice.choice((1, 2))]}
     return said

@@ -13,6 +13,7 @@ from study_table import measurements
 from coupler import Scene
 from coupler.deposition.joining import cloud_of
 from coupler.impact.exchange import Impact
+from coupler.impact.folding import whole_surface
 from coupler.particle import packing, shapes
 from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics.materials import material
@@ -115,11 +116,9 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> Made:
     J = np.abs(np.linalg.det(np.stack(moved, -1) / (2.0 * step)))
     cloud = filled(x, body.volume, body.spacing) | {"J": J}
     if carried:
-        vertices, triangles = body.vertices, body.triangles
-        if body.inner is not None:
-            triangles = np.concatenate([triangles, body.inner[1] + len(vertices)])
-            vertices = np.concatenate([vertices, body.inner[0]])
-        cloud["surface"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x), triangles
+        outer = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
+        surface = whole_surface(body, outer, np.zeros(3))
+        cloud["surface"] = surface.positions(x), surface.triangles
     return cloud
 
 
@@ -186,8 +185,7 @@ def ring(n: int) -> Made:
 def scattered(n: int, seed: int) -> Made:
     """Points on no lattice, at least 0.8 spacings apart, places only."""
     rng = np.random.default_rng(seed)
-    volume = np.pi / 6.0 * D**3 / n
-    spacing = volume ** (1.0 / 3.0)
+    spacing = (np.pi / 6.0 * D**3 / n) ** (1.0 / 3.0)
     x = rng.uniform(-0.5 * D, 0.5 * D, (12 * n, 3))
     x = x[np.einsum("ij,ij->i", x, x) < (0.5 * D - 0.4 * spacing) ** 2]
     near = cKDTree(x).query_pairs(0.8 * spacing, output_type="ndarray")

@@ -143,8 +143,7 @@ class Deposition:
             return left
         self.options.progress.stage("heat conduction, and preparation of the next impact")
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
-        places = [each.task.place for each in done]
-        whole = rest(self.plan, batch, whole, places, kinetic_0, self.joins[-1])
+        whole = rest(self.plan, batch, whole, [each.task.place for each in done], kinetic_0, self.joins[-1])
         pause = self.joins[-1].get("cooling", {}).get("seconds", {})
         bodies = clock.perf_counter() - computed - sum(pause.values())  # assembly, numbering, search for overlaps
         self.joins[-1]["seconds"] = {"impacts": computed - self._batch_began, **pause, "bodies": bodies}

@@ -85,8 +85,7 @@ def _with_splat(impact: Impact, place: Point) -> tuple[Bodies, Values]:
     """The bodies with the splat of an impact, before equilibrium, and a report."""
     domains, bonds, particle = impact.domains, impact.bonds, impact.particle
     plan, number, ratio, own = domains.plan, domains.i + 1, domains.own.velocity_ratio, domains.own.material
-    cloud = cloud_of(domains)
-    splat = convert(cloud, plan.splat_element_size, plan.splat_method)
+    splat = convert(cloud_of(domains), plan.splat_element_size, plan.splat_method)
     states = [
         BodyState(
             points=b.points, tets=b.tets, mass=float(particle.mass[b.cloud_index].sum()), law=particle.law[[int(b.is_core)]],

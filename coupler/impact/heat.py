@@ -65,9 +65,8 @@ def crossing(domains: Domains, time: float) -> tuple[np.ndarray, np.ndarray, np.
     area = vertex_areas(skin, surface.triangles[touching[surface.triangles].any(axis=1)])[rows]
     T_a, T_b = surface.values(particle.points.T)[rows], target.elements.T[elements]
     deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
-    area_b = areas(target.nodes.x, target.mesh.facets[facets])
     # distance of the centroid of a tetrahedron from its face
-    deep_b = 0.75 * target.elements.volume[elements] / area_b
+    deep_b = 0.75 * target.elements.volume[elements] / areas(target.nodes.x, target.mesh.facets[facets])
     a, b = particle.law[0], target.laws[target.law_of[elements]]
     resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
     C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing

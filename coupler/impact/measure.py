@@ -79,8 +79,7 @@ def measure(domains: Domains, level: float) -> dict[str, float]:
     m["surface_volume_error"] = metal * float(rho[0]) / float(matter @ particle.points.J) - 1.0
     if whole is not surface:
         m["pore_share"] = 1.0 - metal / outer
-    away = cKDTree(particle.x).query(vertices)[0]
-    m["unresolved_share"] = float(np.mean(away > FAR * particle.spacing))
+    m["unresolved_share"] = float(np.mean(cKDTree(particle.x).query(vertices)[0] > FAR * particle.spacing))
     m["eps_p_mean"] = float(np.average(particle.points.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.points.eps_p, 99))
     m["eps_p_max"] = float(particle.points.eps_p.max())

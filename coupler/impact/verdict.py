@@ -128,8 +128,7 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
     spare = resistance - energy
-    margin = math.sqrt(2.0 * spare / mass)
-    return Verdict(STICKS, words, BY_BONDS, rebounded=False, margin_J=spare, margin_m_s=margin)
+    return Verdict(STICKS, words, BY_BONDS, rebounded=False, margin_J=spare, margin_m_s=math.sqrt(2.0 * spare / mass))
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:

@@ -41,8 +41,7 @@ def read(result: Result, before: int | None = None) -> Splats:
         raise StoreError(f"{result.directory} has no impact yet: try again later")
     done = before or int(numbers.max())
     is_cold = before is None and len(result.times(COLD)) > 0
-    step = -1 if before is None else first_step(result, before)
-    mesh = result.fields(step, COLD if is_cold else "target")
+    mesh = result.fields(-1 if before is None else first_step(result, before), COLD if is_cold else "target")
     if "impact" not in mesh.data:
         raise StoreError(
             f"{result.directory} has no field 'impact' for its elements: run the scene again with this version"

@@ -139,8 +139,7 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
         return f"{' and '.join(few)}; an interpolation needs {FEWEST_VALUES} along each axis"
     if len(axes) == 1:
         return ""
-    logs = _logs(x, axes)
-    places = np.unique(_unit(logs).round(9), axis=0)
+    places = np.unique(_unit(_logs(x, axes)).round(9), axis=0)
     needed = FEWEST_IN_PLANE if len(axes) == 2 else POINTS_PER_AXIS * len(axes)
     if len(places) < needed:
         return f"there are {len(places)} different points, but an interpolation over {len(axes)} axes needs {needed} points"
