@@ -20,7 +20,7 @@ from ..files.provenance import command
 from ..files.result import Result
 from ..files.store import PICTURE, Store, WithoutFields
 from ..impact.domains import build_particle
-from ..impact.exchange import Impact
+from ..impact.loop import Probe
 from ..impact.run import RunOptions
 from ..particle.start import whole_process
 from ..plan.planning import Plan, plan
@@ -36,8 +36,6 @@ from .fold import Deposition
 CHECKPOINT_EVERY = 60.0  # s of wall time
 FEW_POINTS = 2000  # for fewer points a second thread saves little time (docs/evidence/speed.md)
 POINTS_OF_THREAD = 250  # least points for each thread: to wake a thread in every step takes about 10 us
-
-Probe = Callable[[Impact], None]
 
 
 def run(

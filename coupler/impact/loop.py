@@ -11,13 +11,11 @@ from .heat import flow, release
 from .recorder import Recorder
 from .touching import Touching
 
+Probe = Callable[[Impact], None]  # a function that is called after each chunk of steps
+
 
 def advance_to_end(
-    impact: Impact,
-    ending: EndCriterion,
-    recorder: Recorder,
-    keep: Callable[[], None],
-    probe: Callable[[Impact], None] | None,
+    impact: Impact, ending: EndCriterion, recorder: Recorder, keep: Callable[[], None], probe: Probe | None
 ) -> None:
     """Advance an impact to its end. keep(): function that stores the state, called before each chunk of steps; probe(impact):
     function called after each chunk.

@@ -18,7 +18,7 @@ from ..target.bodies import BodiesState
 from .domains import build_domains, restored_target
 from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState
-from .loop import advance_to_end
+from .loop import Probe, advance_to_end
 from .recorder import Recorded, Recorder
 from .retry import Retry, next_retry
 from .stop import Stopped, stop_signals
@@ -41,7 +41,7 @@ class RunOptions:
     ranks: Ranks = field(default_factory=Ranks)
     threads: int = 1
     numerics: Mapping[str, float] = field(default_factory=dict)
-    probe: Callable[[Impact], None] | None = None
+    probe: Probe | None = None
     checkpoint_every: float = 60.0
     until: float | None = None
     skip_failed: bool = False

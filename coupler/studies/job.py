@@ -119,12 +119,8 @@ def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Found, co
     sheet.section("time", "What more time would give", f"<p>{escape(known['more_time'])}.</p>")
     sheet.section("assumed", "Assumptions", parts.items(_assumed(job)))
     sheet.section("job", "The job", f"<pre>{escape(text)}</pre>")
-    return sheet.html(
-        f"{' + '.join(job.powders)} on {job.surface}: does it stick?",
-        escape(_conditions(job)),
-        front,
-        f"{MARK} {__version__}",
-    )
+    title = f"{' + '.join(job.powders)} on {job.surface}: does it stick?"
+    return sheet.html(title, escape(_conditions(job)), front, f"{MARK} {__version__}")
 
 
 def _conditions(job: Job) -> str:
