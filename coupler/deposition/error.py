@@ -115,9 +115,8 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
         impact["errors"] = errors(levels)
         verdicts = [level.get("verdict") for level in levels]
         if len(set(verdicts)) > 1:
-            told = ", ".join(
-                f"{word} with {level['points']} points" for word, level in zip(verdicts, levels, strict=True)
-            )
+            pairs = zip(verdicts, levels, strict=True)
+            told = ", ".join(f"{word} with {level['points']} points" for word, level in pairs)
             warnings.append(f"impact {i + 1}: the verdict depends on the resolution: {told}")
 
 

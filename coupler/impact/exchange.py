@@ -239,9 +239,8 @@ class Impact(Course):
         if self.exposure is not None:
             sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
             return sound & (touching.strength > 0.0)  # molten metal bonds after it has solidified
-        strain = np.maximum(
-            self.surface.values(self.particle.points.eps_p)[rows], self.target.elements.eps_p[touching.element]
-        )
+        own = self.surface.values(self.particle.points.eps_p)[rows]
+        strain = np.maximum(own, self.target.elements.eps_p[touching.element])
         pressure = touching.force[rows] / area
         adhesion, ratio = self.domains.plan.adhesion, self.domains.own.velocity_ratio
         return adhesion.bonded(len(rows), strain, pressure, ratio) & (area > 0.0)

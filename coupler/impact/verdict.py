@@ -80,9 +80,8 @@ def judge(
         return _unbonded("there is no adhesion in the scene", BY_MOTION, mass, upwards)
     base = f"{impact.formula.base}, a polymer"
     if sunk > 0.0 and upwards <= REBOUND:
-        words = (
-            f"it is embedded in {base}: its centre lies {sunk * 1e6:.3g} um below the surface, and it does not move off"
-        )
+        depth = f"{sunk * 1e6:.3g} um"
+        words = f"it is embedded in {base}: its centre lies {depth} below the surface, and it does not move off"
         return Verdict(EMBEDDED, words, BY_MOTION, rebounded=False)
     return _unbonded(f"no bond of metals forms on {base}, whose erosion is not modelled", BY_MOTION, mass, upwards)
 

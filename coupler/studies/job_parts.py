@@ -16,6 +16,7 @@ from ..spray.window import EROSION, Spray
 from . import critical
 from .coating import CoatingMeasures, measure
 from .coating import read as read_coating
+from .critical import Bracket
 from .runs import Log, results
 
 Range = tuple[float, float, float]  # value, least, greatest
@@ -30,9 +31,9 @@ class Bonds:
     powder: str
     base: str
     folder: str
-    found: critical.Bracket
+    found: Bracket
     error: float | None = None
-    sets: Mapping[str, critical.Bracket] = field(default_factory=dict)
+    sets: Mapping[str, Bracket] = field(default_factory=dict)
 
     @property
     def velocity(self) -> float:
@@ -51,7 +52,7 @@ class Bonds:
         return min([low, *(a for a, _ in others)]), max([high, *(b for _, b in others)])
 
 
-def ends(found: critical.Bracket) -> tuple[float, float]:
+def ends(found: Bracket) -> tuple[float, float]:
     """Smallest and largest critical velocity (m/s) of a bracket. If the particle rebounds at all velocities, the largest is infinite.
     If it sticks at all, both are the velocity of the slowest run. Without any verdict they are 0 and infinite."""
     return found.low or found.high or 0.0, math.inf if found.high is None else found.high
@@ -67,9 +68,7 @@ class Coating:
     properties: Mapping[str, Any] = field(default_factory=dict)
 
 
-def search(
-    job: Job, part: Search, out: Path, jobs: int, log: Log, more: Callable[[float], bool]
-) -> critical.Bracket | None:
+def search(job: Job, part: Search, out: Path, jobs: int, log: Log, more: Callable[[float], bool]) -> Bracket | None:
     """Search the critical velocity of the median particle on a metal within the velocities of the powder (`Job.reach`). If the
     particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
     `critical.search`. Returns None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no
@@ -87,7 +86,7 @@ def search(
     return found
 
 
-def bonds(job: Job, found: Mapping[Search, critical.Bracket]) -> dict[tuple[str, str], Bonds]:
+def bonds(job: Job, found: Mapping[Search, Bracket]) -> dict[tuple[str, str], Bonds]:
     """Critical velocity of each powder on each metal with its errors, by both names. found: brackets of all searches."""
     known = {}
     for powder, base in job.hits:

@@ -257,11 +257,9 @@ def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, ax
     return NextPoint(dict(zip(axes, best[1], strict=True)), why)
 
 
-def best_point(
-    rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
-) -> tuple[NextPoint, Interpolation | None, str]:
+def best_point(rows: Sequence[Row], quantity: str, axes: Sequence[str]) -> tuple[NextPoint, Interpolation | None, str]:
     """The next point (`next_point`); the interpolation of the quantity, None if the points do not support one; the reason for None.
-    axes: by default those of AXES that vary. Over one axis there is no interpolation across a change of the verdict, where a
+    axes: empty for those of AXES that vary. Over one axis there is no interpolation across a change of the verdict, where a
     measure can jump (`sides`)."""
     used = with_value(rows, quantity)
     names = tuple(axes) or varying([row for row in rows if row["status"] == "done"])

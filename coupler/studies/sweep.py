@@ -249,10 +249,9 @@ def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
 def quantile_of(table: object) -> Quantile:
     """The quantile function of a distribution: { mean, deviation }, { median, spread } (log-normal; spread: geometric standard
     deviation), { from, to } or { values = [...] }. The first two may have limits `smallest` and `largest`. Raises ValueError."""
-    kind = next(
-        (k for k, keys in KINDS.items() if isinstance(table, Mapping) and all(key in table for key in keys)), None
-    )
-    if kind is None or not isinstance(table, Mapping):
+    table = table if isinstance(table, Mapping) else {}
+    kind = next((k for k, keys in KINDS.items() if all(key in table for key in keys)), None)
+    if kind is None:
         raise ValueError(f"expected a distribution: {_EXAMPLES}")
     keys, known = KINDS[kind], (*KINDS[kind], *(LIMITS if kind in ("normal", "log-normal") else ()))
     if unknown := [key for key in table if key not in known]:

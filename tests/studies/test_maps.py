@@ -300,7 +300,7 @@ def test_a_bracket_is_halved_until_it_is_narrow(tmp_path) -> None:
     grid["points"]["velocity"] = ["400 m/s", "550 m/s", "610 m/s", "700 m/s"]
     rows = table(made(tmp_path / "wide", Sweep.from_dict(grid), critical=600.0))
     assert {(a, b) for a, b, *_ in brackets(rows, AXES[:2])} == {((550.0, D), (610.0, D)) for D in (1e-5, 2.5e-5)}
-    assert best_point(rows, "flattening_ratio")[0].at["velocity_m_s"] == pytest.approx(579.2)
+    assert best_point(rows, "flattening_ratio", ())[0].at["velocity_m_s"] == pytest.approx(579.2)
 
 
 def test_the_runs_of_a_study_are_in_a_folder_of_their_own(tmp_path, capsys) -> None:
