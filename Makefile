@@ -1,20 +1,20 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make app    forms, runs and results as a page in the browser of this machine (docs/guide/app.md)
-# make test   format, lint, types and tests, those marked slow left out
-# make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
+# make test   format, lint, types and tests, without those marked slow
+# make test-all  also the slow tests: many hard cases, fine Taylor bars, whole runs on several ranks, browsers
 # make coverage  the lines of coupler/ that make test does not run (numba's kernels count as not run)
-# make bench  what a step costs, and what ranks gain, into docs/tables (10 minutes)
+# make bench  time of a step, and speed-up by ranks, into docs/tables (10 minutes)
 # make studies  Taylor bars, and the particle as finite elements, into docs/tables (hours)
 # make accuracy  what accuracy costs in time, and whether the errors of runs are true, into docs/evidence/accuracy.md (hours; rows in the table are not computed again)
-# make effects  what each effect changes, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
-# make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; goes on where it was stopped)
-# make fuzz   random scenes: each a result that an independent check finds no fault in, or a clear refusal; N=1000 SEED=1 say how many and which
+# make effects  what each effect changes, and the time that auto saves, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
+# make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; continues if it was stopped)
+# make fuzz   random scenes: each must pass an independent check, or end with a clear message; N=1000 SEED=1: how many, first seed
 # make validate  the paper's cases and trends into docs/evidence/validation.md (an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build
 # make gallery  the pages and notebooks of docs/gallery with what they print and draw, computed again (12 minutes of processor time)
-# make fuzz-files  damaged files of every kind: each command ends with a result or one message; N=2000 SEED=1 say how many and which
-# make setup  system libraries and .venv for runs; libraries: these alone; test-setup: for tests too; the targets do it themselves when it is needed
+# make fuzz-files  damaged files of every kind: each command must end with a result or one message; N=2000 SEED=1: how many, first seed
+# make setup  system libraries and .venv for runs (libraries: only these; test-setup: for tests, too); other targets run it if needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
@@ -31,14 +31,14 @@ TEST_LIBRARIES := chromium
 
 .PHONY: setup kernels test-setup libraries test-libraries run app check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
 
-# Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
+# If Python may not write bytecode, uv compiles all packages. Without this, each start would compile all imported modules (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
 
 setup: $(KERNELS)
 kernels: $(KERNELS)
 test-setup: $(TEST_STAMP) $(KERNELS)
 
-# $(call install,packages): with apt-get, as root; else says which are missing
+# $(call install,packages): installs with apt-get as root; otherwise prints which packages are missing
 define install
 	@missing=(); \
 	if command -v dpkg-query >/dev/null; then \
@@ -47,7 +47,7 @@ define install
 	    [ "$$state" = installed ] || missing+=($$package); \
 	  done; \
 	else \
-	  echo "setup: no dpkg here; these libraries must be there: $(1)"; \
+	  echo "setup: dpkg is not installed; these libraries must be present: $(1)"; \
 	fi; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing+=(python3-venv); \
 	if [ $${#missing[@]} -gt 0 ]; then \
@@ -75,7 +75,7 @@ $(STAMP): uv.lock pyproject.toml .ci/uv.txt
 	@touch $@
 
 $(KERNELS): $(STAMP)
-	@echo "setup: compiling the kernels, once" # the first run ends early and undecided, with 4
+	@echo "setup: compiling the kernels, once" # the first run ends early and undecided, with exit code 4
 	@export OMP_NUM_THREADS=1; \
 	$(VENV)/bin/python workflows/compile_kernels.py >$(VENV)/compile_kernels.log 2>&1 & other=$$!; \
 	$(VENV)/bin/coldspray run workflows/single_ni.toml --set 'end.time="3 ns"' --out $(VENV)/first_run --force -q \
@@ -110,7 +110,7 @@ check: $(TEST_STAMP)
 
 WORKERS ?= 2
 
-# One thread each: the workers share the cores. What Python and pytest make of the tests is kept: some 5 s of each worker
+# One thread for each worker, because the workers share the cores. Python stores the bytecode of the tests: this saves some 5 s for each
 PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal
 
 # Kernels compile one after another, under a lock: mypy has the other core
@@ -172,7 +172,7 @@ docs: test-setup
 	$(VENV)/bin/sphinx-build -q -E -W --keep-going -b html docs docs/_build
 	@echo "site in docs/_build/index.html"
 
-# Keeps runs/: results are not ours to throw away.
+# Does not delete runs/, which contains results of the user.
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache dist build docs/_build
 	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +

@@ -22,7 +22,7 @@ __version__ = "0.3.0"
 __all__ = ["Result", "Scene", "run"]
 
 
-# numba reads it as it is imported, and again where it is imported already
+# numba reads this variable at its import; if it is imported already, it must read the variable again
 os.environ["NUMBA_CACHE_DIR"] = str(kernel_folder(Path(__file__).parent, os.environ.get("NUMBA_CACHE_DIR")))
 if "numba" in sys.modules:
     sys.modules["numba"].config.reload_config()

@@ -32,7 +32,7 @@ def kernel_folder(package: Path, asked: str | None) -> Path:
     sources = [path.read_bytes() for path in sorted(package.glob("*/*.py"))]
     state = hashlib.sha256(b"".join(source for source in sources if b"njit" in source)).hexdigest()
     places = [package / "__pycache__", user_folder()]
-    if asked:  # may come from the process of this program that started this one
+    if asked:  # may be the folder of kernels of a coldspray process that started this one
         places.insert(0, Path(asked).parent if _KERNELS.fullmatch(Path(asked).name) else Path(asked))
     for place in places:
         folder = place.absolute() / f"kernels-{state[:12]}"

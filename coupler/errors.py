@@ -28,7 +28,7 @@ class SceneError(ColdsprayError):
         super().__init__("\n  - ".join([head, *problems]))
 
     def __reduce__(self) -> tuple[type["SceneError"], tuple[list[str], str]]:
-        return type(self), (self.problems, self.source)  # errors travel between ranks
+        return type(self), (self.problems, self.source)  # for pickle: MPI ranks send errors to each other
 
 
 class StoreError(ColdsprayError):

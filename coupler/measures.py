@@ -7,13 +7,13 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# Greatest plastic strain that both schemes can follow. It corresponds to a simple shear of 35 (eps_p = gamma / sqrt(3)); compression
+# Greatest plastic strain that points and elements can resolve. It means a simple shear of 35 (eps_p = gamma / sqrt(3)); compression
 # does not reach it. Neighbouring points across the shear plane are then 35 spacings apart, ten times the support of the kernel, and an
 # element is 35 times as long and 1/35 as thick as initially: neither resolves the shear band.
 EPS_P_LIMIT = 20.0
 SHAPE_TOLERANCE = 0.01  # of the diameter of a sphere: accuracy with which the carried surface follows the points
-PLASTIC_SHARE_LIMIT = 0.05  # a run warns if the dissipation of the particle's scheme over its plastic work is larger
-# A surface that lies D / 30 too deep everywhere encloses 20 % less volume (dV / V = 6 d / D)
+PLASTIC_SHARE_LIMIT = 0.05  # a run warns if numerical dissipation over plastic work of the particle is larger
+# A surface that lies d = D / 30 too deep everywhere encloses 20 % less volume (dV / V = 6 d / D)
 SURFACE_VOLUME_LIMIT = 0.2
 OF_THE_SURFACE = (
     "flattening_ratio", "flattening_ratio_total", "height_m", "thickness_m", "splat_diameter_m", "jet_length_m",
@@ -21,7 +21,7 @@ OF_THE_SURFACE = (
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy: if larger, it influences the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
-EMBEDDED, BROKEN = "embedded", "broken"  # a ceramic particle: it stays without a bond; its tensile stress is too high
+EMBEDDED, BROKEN = "embedded", "broken"  # of ceramic particles: held without a bond; broken by tensile stress
 # verdict -> its verb for one particle, and for several
 VERBS = {
     STICKS: ("sticks", "stick"), EMBEDDED: ("is embedded", "are embedded"), REBOUNDS: ("rebounds", "rebound"),
@@ -98,7 +98,7 @@ class Measure:
         return f"{self.label} is {value * self.factor:.4g}: {text}" if text else None
 
 
-_STRAIN = "such a plastic strain is too large for the SPH scheme"
+_STRAIN = "such a plastic strain is too large for the numerical scheme"
 TABLE = (
     Measure("time_s", "time", SHAPE),
     Measure(
@@ -144,12 +144,12 @@ TABLE = (
     Measure("bond_energy_J", "energy to break all bonds", VERDICT, low=0.0),
     Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
     Measure("contact_dropped", "points of the particle that have lost their contact"),
-    Measure("contact_dropped_bodies", "nodes that have lost their contact between bodies so far"),
+    Measure("contact_dropped_bodies", "nodes that have lost their contact with another body so far"),
     Measure("surface_level_m", "height of the surface at the first contact", SHAPE),
     Measure("material", "material of the particle", PARTICLE),
     Measure("diameter_m", "diameter before impact", PARTICLE, "diameter"),
     Measure("speed_m_s", "impact speed", PARTICLE, low=0.0),
-    Measure("velocity_m_s", "velocity", PARTICLE, low=0.0),  # with the next: axes of a map, known before a run
+    Measure("velocity_m_s", "velocity", PARTICLE, low=0.0),  # this and the next: axes of a map, known before a run
     Measure("temperature_K", "initial temperature", PARTICLE, low=0.0),
     Measure("particle_mass_kg", "mass of the particle", PARTICLE, low=0.0),
     Measure("eps_p_mean", "mean plastic strain", PARTICLE, "mean strain", low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=True),
@@ -187,7 +187,7 @@ TABLE = (
 )  # fmt: skip
 MEASURES = {measure.key: measure for measure in TABLE}
 CONVERGING = tuple(measure.key for measure in TABLE if measure.converges)
-PROPERTIES = {  # effective ones of a coating: name, unit, factor on SI for a screen, unit then
+PROPERTIES = {  # effective properties of a coating: name, SI unit, factor from SI to the display unit, display unit
     "E": ("Young's modulus", "Pa", 1e-9, "GPa"), "G": ("shear modulus", "Pa", 1e-9, "GPa"),
     "k": ("heat conductivity", "W/mK", 1.0, "W/mK"), "sigma": ("electric conductivity", "S/m", 1e-6, "MS/m"),
 }  # fmt: skip

@@ -24,7 +24,7 @@ class Progress:
 
     An update is cheap and can come at every step. stream: output, by default standard error, in a notebook standard output; quiet: show
     nothing. time: simulated time over all impacts, s, nan before the first update; compiling: wall time for the compilation of kernels,
-    s, which the remaining time excludes; record: function that receives every line, such as the log file of a run.
+    s, which the remaining time excludes; record: function that receives every line, for example to write a log file.
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
@@ -65,7 +65,7 @@ class Progress:
         step, s."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
-        is_new = shares[i] != (self._done, self._share)  # else the impact starts again: the attempt does not count
+        is_new = shares[i] != (self._done, self._share)  # else it starts again: the first attempt does not count
         if self._first is not None and is_new:
             self._looped += self._clock - self._first[0]
             self._part += self._done + self._share - self._first[1]
@@ -168,9 +168,9 @@ class Progress:
     def _fraction(self) -> float:
         """The fraction of the expected wall time of all impacts that is already done.
 
-        An impact is expected to take at least _OVERDUE times its wall time so far. The number of steps per simulated time, 1 / dt,
-        rises as kinetic energy is converted. Its mean over the rest of the impact is estimated as its current value plus
-        (expected mean - first value) times the remaining share of kinetic energy.
+        The remaining simulated time of an impact is at least _OVERDUE times that so far, within its limit. The number of steps per
+        simulated time, 1 / dt, rises as kinetic energy is converted. Its mean over the rest of the impact is estimated as its current
+        value plus (expected mean - first value) times the remaining share of kinetic energy.
         """
         gone, (kinetic, dt, step) = self.time - self._before, self._state
         if not gone > 0.0:

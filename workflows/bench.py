@@ -1,8 +1,8 @@
-"""What a step costs: python workflows/bench.py   # docs/tables/bench.csv
+"""Time of a step: python workflows/bench.py   # docs/tables/bench.csv
 
-Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines; an impact, and what threads gain in
-it up to --most (medians; the rest: the fastest of several repeats). Machines differ: the column over_loop is the time over that of a
-reference loop in the same run. Rows of other versions stay in the table.
+Elastic and plastic elements; the same forces with forms of scikit-fem; points with all engines; an impact, and its speed-up by up to
+--most threads (medians; all other times: the fastest of several repeats). The column over_loop is the time over that of a reference
+loop in the same run, to compare machines. Rows of other versions stay in the table.
 """
 
 import time
@@ -36,7 +36,7 @@ clock = time.process_time  # other work on the machine does not count
 
 
 def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[], float] = clock) -> float:
-    """Seconds of the fastest of several calls, the first (compilation) left out: other work on the machine only ever adds."""
+    """Seconds of the fastest of several calls, without the first one (compilation): other work on the machine only adds time."""
     return min(timeit.repeat(work, number=1, repeat=repeats + 1, timer=now)[1:])
 
 
@@ -92,9 +92,9 @@ def forms(target: Target) -> float:
 
 
 def engines(count: int) -> Iterator[Part]:
-    """Microseconds per point and step of a whole LAMMPS step with the law, for all engines in turn: a sphere that flows all over.
+    """Microseconds per point and step of a whole LAMMPS step with the law, for a sphere in which all points flow.
 
-    What slows down one slows down the others. The passes of the default engine also on two threads, in wall time.
+    All engines run in turn, so that other work slows down all alike. The passes of the default engine are also timed on two threads.
     """
     cloud, volume = packing.sphere(25e-6, count)
     law = law_record(material("Ni"), rate_filter=5e-10)
@@ -127,7 +127,7 @@ def engines(count: int) -> Iterator[Part]:
 
 
 def begun(points: int) -> Impact:
-    """An impact of about so many points, 15 ns after the first contact: points flow, surfaces touch."""
+    """An impact of about `points` points, 15 ns after the first contact: points flow, surfaces touch."""
     scene = Scene.from_dict(impact_tables("Ni", 25.0, 500.0, spacing=spacing_of(points)), "bench")
     impact = Impact(build_domains(plan(scene)))
     while impact.time < 15e-9:
@@ -167,7 +167,7 @@ def whole(points: int) -> Iterator[Part]:
 
 
 def threaded(points: int, most: int) -> Iterator[Part]:
-    """Wall time of a step of a real impact on one thread over that on 2, 4 ... threads, in turn: other work slows down all alike."""
+    """Wall time of a step of a real impact on one thread over that on 2, 4 ... threads, measured in turn."""
     counts = list(takewhile(lambda n: n <= most, (2**k for k in count())))
     with threads_of(counts[-1]):
         impact = begun(points)

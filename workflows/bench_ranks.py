@@ -1,9 +1,9 @@
-"""What ranks gain: python workflows/bench_ranks.py [--repeats 3]   # docs/tables/ranks.csv
+"""Speed-up by ranks: python workflows/bench_ranks.py [--repeats 3]   # docs/tables/ranks.csv
 
-The first 22 ns of two scenes, `single_ni` at `standard`, whose particle costs several times its target, and one whose particle and
-target cost the same, in one process of one thread and under mpiexec on two and three ranks: wall time of the
-steps, its ratio to one process on one thread, and the share of it that each rank waits for others in the exchange (what a rank
-waits inside LAMMPS is not in it). The runs of a round follow one another; the median over rounds is kept.
+The first 22 ns of two scenes run in one process of one thread, and under mpiexec on two and three ranks. In `single_ni` at `standard`
+the particle needs several times the time of the target; in the other scene both need the same time. The table has the wall time of
+the steps, its ratio to one process on one thread, and the share of it in which each rank waits for others in the exchange (without
+waiting inside LAMMPS). Each round runs all of them in turn; the median over the rounds counts.
 """
 
 import statistics
@@ -26,7 +26,7 @@ from coupler import run
 warm, scene, out = sys.argv[1:]
 for path in (warm, scene):
     run(path, out, force=True, threads=1)
-"""  # the first loads compiled kernels, which takes as long as a hundred steps
+"""  # the first run loads compiled kernels, which takes as long as a hundred steps
 
 
 def measured(name: str, scene: Scene, repeats: int) -> list[dict[str, object]]:

@@ -1,10 +1,10 @@
 """Critical velocities by exposure, over size, temperature, film and strength: python workflows/bonding_energy.py [--docs]
 
 Runs of workflows/critical_ni.toml, critical_cu.toml and critical_ni_rate.toml, kept in runs/bonding_energy (--runs). Each is a row of
-docs/tables/bonding_energy.csv that is not computed again; critical_velocity.csv has the brackets of their verdicts, bonding_scatter.csv
-the margins of several placements of points and elements. contact_springs.csv has the energies of contact springs and rebound over the
-stiffness of the springs, without bonds, bond_profile.csv the strength of bonds over the radius (critical_al.toml). Then the figure
-and the table of the page on bonding; --docs makes only these.
+docs/tables/bonding_energy.csv that is not computed again. critical_velocity.csv has the brackets of their verdicts, bonding_scatter.csv
+the margins of several placements of points and elements, contact_springs.csv the energies of contact springs and rebound against the
+stiffness of the springs, without bonds, and bond_profile.csv the strength of bonds against the radius (critical_al.toml). At the end
+the script makes the figure and the table of the page on bonding; --docs makes only these.
 """
 
 import itertools
@@ -35,7 +35,7 @@ strength: strength set of the metal; taylor_alpha: of its hardening by gradients
 NI, CU, RATE = "Steinberg_1996", "Preston_2003", "critical_ni_rate"
 FILES = {"Ni": "critical_ni", "OFHC_Cu": "critical_cu", "Al1100": "critical_al"}
 ALPHA = "0.35"  # Taylor's coefficient of the workflows (docs/theory/material.md)
-# columns of the key: velocities (m/s); the second at several placements (`coupler.studies.critical.at_velocity`), without gradients
+# first columns of the key -> velocities (m/s). PLACED_CASES: at several placements (`studies.critical.at_velocity`), without gradients
 CASES, PLACED_CASES = (
     {tuple(name.split(", ")): velocities for name, velocities in measurements(section, "scenes").items()}
     for section in ("critical", "placements")
@@ -51,7 +51,7 @@ def scene_of(
     metal: str, diameter: str, temperature: str = "300", film: str = "1", strength: str = "", alpha: str = "0",
     preset: str = "draft",
 ) -> Scene:  # fmt: skip
-    """A scene of FILES with these values (`CASES`), its target in the same ratio to the particle. strength: "" for that of the file."""
+    """A scene of FILES with these values (`CASES`). The target keeps its ratio to the particle. strength: "" for that of the file."""
     name, D = RATE if strength == RATE else FILES[metal], float(diameter)
     scene = scene_file(name)
     scale = D * 1e-6 / scene.particle.diameter
@@ -83,7 +83,7 @@ def row_of(*key: str, runs: Path) -> dict[str, object]:
 
 
 def placed_row(metal: str, size: str, preset: str, velocity: str, placement: str, runs: Path) -> dict[str, object]:
-    """A run of several placements: margin, if it has a verdict, and energy that bonds have dissipated, over the particle's section."""
+    """The row of one placement: margin, if there is a verdict, and energy dissipated by bonds, per section of the particle."""
     scene, v, k = scene_of(metal, size, preset=preset), float(velocity), int(placement)
     folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
     row = rows_at(scene, v, folder, PLACEMENTS)[k]
@@ -95,7 +95,7 @@ def placed_row(metal: str, size: str, preset: str, velocity: str, placement: str
 
 
 def critical_of(metal: str, diameter: str) -> float | None:
-    """The measured critical velocity, m/s, of a metal at room temperature; None of another diameter (um) than the measured one."""
+    """The measured critical velocity, m/s, of a metal at room temperature; None if the diameter (um) is not the measured one."""
     own = MEASURED[metal]
     return float(own["critical_velocity_m_s"]) if f"{own['diameter_um']}" == diameter else None
 
@@ -190,7 +190,7 @@ def critical_part(lines: list[Row], rows: list[Row]) -> list[str]:
 
 
 def draw(rows: list[Row]) -> None:
-    """Restitution over velocity beside the measured one, a panel for each metal; verdicts of the workflow's own scene."""
+    """Computed and measured restitution against velocity, and the brackets of the critical velocity; a panel for each metal."""
     with drawing("critical", 9.6, 4.0) as figure:
         for left, (metal, size, strength) in zip((0.07, 0.57), (("Ni", "10", NI), ("OFHC_Cu", "14", CU)), strict=True):
             axes, measured = figure.add_axes((left, 0.13, 0.42, 0.78)), MEASURED[metal]
@@ -213,7 +213,7 @@ def draw(rows: list[Row]) -> None:
 
 
 def draw_springs(rows: list[Row]) -> None:
-    """Energy of the contact springs at the greatest deformation, and of the rebound, over the stiffness of the springs."""
+    """Energy of the contact springs at the greatest deformation, and of the rebound, against their stiffness."""
     with drawing("contact", 5.4, 3.4, "constrained") as figure:
         axis = figure.add_subplot()
         for key, words, style in (("rebound_J_m2", "rebound", "-"), ("springs_J_m2", "contact springs", ":")):

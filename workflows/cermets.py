@@ -1,9 +1,9 @@
 """What a ceramic in the powder does to a coating, and whether it stays: python workflows/cermets.py
 
 Coatings: the blends of workflows/cermet_cu.toml and cermet_al.toml; each without its ceramic ("metal": the same metal particles at the
-same places); and with all of the ceramic after the metal ("after"). Impacts: single particles of Al2O3, whole and without bonds but
-for the last two. Each is a row of docs/tables/cermets.csv and ceramic_impacts.csv that is not computed again; --docs runs nothing and
-writes the tables of the page.
+same places); and with all of the ceramic after the metal ("after"). Impacts: single particles of Al2O3 that cannot break, without bonds
+except in the last two. Each is a row of docs/tables/cermets.csv and ceramic_impacts.csv that is not computed again; --docs runs
+nothing and writes the tables of the page.
 """
 
 import math
@@ -38,7 +38,7 @@ IMPACTS = (
     ("sphere", "Cu", "800", "2.5", "0"), ("sphere", "Cu", "800", "1.3", "0"),
     ("sphere", "Al1100", "600", "2.5", "20"), ("sphere", "Al1100", "600", "2.5", "100"),
 )  # fmt: skip
-WHOLE = {"tensile_limit": "20 GPa"}  # out of reach
+WHOLE = {"tensile_limit": "20 GPa"}  # no impact reaches this stress: particles do not break
 DIAMETER = 20.0  # um
 
 
@@ -56,7 +56,7 @@ def scene_of(name: str, powder: str) -> Scene:
 
 
 def coating_row(name: str, powder: str) -> dict[str, object]:
-    """Compute a coating; its row. Draws the pictures of the page, etched sections."""
+    """Compute a coating and return its row. Draws the pictures of the page, which look like etched sections."""
     with computed(scene_of(name, powder)) as (result, _):
         impacts, splats = result.summary["impacts"], coating.read(result)
         if name == PICTURES:
@@ -81,7 +81,7 @@ def coating_row(name: str, powder: str) -> dict[str, object]:
 
 
 def impact_row(shape: str, base: str, velocity: str, spacing: str, bond: str) -> dict[str, object]:
-    """Compute an impact; its row."""
+    """Compute an impact and return its row."""
     tables = impact_tables("Al2O3", DIAMETER, float(velocity), base, (140.0, 80.0), float(spacing), shape=shape)
     law = {"kind": "cohesive", "criterion": "all", "strength": "200 MPa", "energy": f"{bond} J/m2"}
     pair = {"metals": ["Al2O3", base], "energy": f"{bond} J/m2"}

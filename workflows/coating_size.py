@@ -1,4 +1,4 @@
-"""How much the size of the substrate shows in a coating, over places of the particles: python workflows/coating_size.py
+"""Influence of the size of the substrate on a coating, for random positions of the particles: python workflows/coating_size.py
 
 workflows/coating_size.toml with other seeds, on its substrate and on one of twice the size. Each coating is a row of
 docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the sentence of the page.

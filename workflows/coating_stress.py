@@ -64,7 +64,7 @@ def row_of(*key: str) -> dict[str, object]:
         splats = coating.read(result)
         all_ = coating.measure(splats)
     inner = buried(splats)
-    # the last is that of the last impacts
+    # the last layer is left out: no later impact has struck it
     layers = [layer for layer in all_.layers if 0 < layer["layer"] < splats.layers]
     eps_p = np.average([layer["eps_p_mean"] for layer in layers], weights=[layer["volume_m3"] for layer in layers])
     return {
@@ -98,7 +98,7 @@ def flattening_strains(splats: Splats, radius: float) -> NDArray[np.float64]:
 
 
 class Comparison(NamedTuple):
-    """A measured coating, its row of measurements.toml, and the rows that are computed of it: of the first strength set, of others."""
+    """A measured coating, its row of measurements.toml, and its computed rows: with the first strength set, and with others."""
 
     name: str
     metal: str
@@ -119,7 +119,7 @@ def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
 
 
 def error_of(values: NDArray[np.float64]) -> float:
-    """Standard error of the mean of seeds; nan of one."""
+    """Standard error of the mean over seeds; nan for a single seed."""
     return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
@@ -147,7 +147,7 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Computed over measured: stress, with the other strength sets as crosses, and density."""
+    """Draw computed against measured values: stress, with the other strength sets as crosses, and density."""
     places = {"stress_MPa": (0.09, "deposition stress (MPa)", 9), "density": (0.59, "density (%)", 5)}
     with drawing("coating_al", 8.0, 3.8) as figure:
         for key, (left, title, k) in places.items():
@@ -163,7 +163,7 @@ def draw(rows: Sequence[Row]) -> None:
 
 
 def coating_scene(metal: str, test: str) -> Scene:
-    """The scene of a coating of measurements.toml, with what a test changes of it."""
+    """The scene of a coating of measurements.toml, with the changes of a test."""
     said = {"strength": next(iter(entry(metal).sets))} | COATED[metal]
     D, size = said["diameter_um"], said["scene"]
     tables = impact_tables(metal, D, said["velocity_m_s"], said["base"], (9 * D, size["height"] * D))
@@ -180,7 +180,7 @@ def coating_scene(metal: str, test: str) -> Scene:
 
 
 def coating_row(metal: str, test: str) -> dict[str, object]:
-    """Splats and stress of the substrate of a coating, as measurements.toml reads them."""
+    """The row of a coating: flattening of its splats, and stress in the substrate at the depths of measurements.toml."""
     with computed(coating_scene(metal, test), skip_failed=True) as (result, cpu):
         splats, drift = coating.read(result), max(abs(i["energy_drift"]) for i in result.summary["impacts"])
         radius = coating.disc_radius(splats)

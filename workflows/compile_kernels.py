@@ -1,6 +1,6 @@
 """Compile the kernels of the target, and of contact, bonds and pauses between impacts: python workflows/compile_kernels.py
 
-`make setup` runs it beside a first impact, which compiles the others: numba keeps what either has compiled.
+`make setup` runs it at the same time as a first impact, which compiles the other kernels; numba stores the kernels of both.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from coupler.target.domain import BodyState
 SCENE = Path(__file__).parent / "single_ni.toml"
 EDGE = 10e-6  # m, of the body that lies on the target
 STEP, PAUSE = 1e-13, 1e-6  # s
-ENERGY = 1.0  # J, of an impact before: equilibrium is found at once
+ENERGY = 1.0  # J, kinetic energy of earlier impacts: so large that the pause finds equilibrium at once
 
 
 if __name__ == "__main__":

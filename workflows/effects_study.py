@@ -1,11 +1,11 @@
 """What each effect changes, and what `auto` saves.
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
-    python workflows/effects_study.py --proof    # everything on against auto, twelve scenes at draft: docs/tables/effects_proof.csv
+    python workflows/effects_study.py --proof    # time of all effects over that of auto, scenes at draft: docs/tables/effects_proof.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the page
 
-Rows in the tables of changes are not computed again. Times are processor time of one thread. What is compared goes on in turn, so that
-other work on the machine slows down all alike, and the least of several rounds (--rounds N) counts.
+Rows in the tables are not computed again. Times are processor time of one thread. Compared runs advance in turn, so that other work
+on the machine slows down all of them equally; the least time of several rounds (--rounds N) counts.
 """
 
 import math
@@ -28,16 +28,16 @@ from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
-# not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
+# left out only in some scenes: these effects do nothing in a single impact, or without bonds by exposure
 NEVER = ("adhesion", "cooling", GRADIENTS)
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
 Tables = dict[str, Any]
 LEAST = 0.05  # %: bars of smaller changes end here
-CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
+CROSSINGS = 1.5  # in units of D/v: duration of the impacts whose processor time is measured
 
 
 def tables(metal: str, diameter: float, velocity: float, base: str = "SS304", points: int = 500, **more: str) -> Tables:
-    """The scene of an impact with so many points (0: by preset); um, m/s. more: further keys of the particle."""
+    """The scene of an impact; um, m/s. points: number of points (0: by preset); more: further keys of the particle."""
     spacing = spacing_of(points, diameter) if points else 0.0
     return impact_tables(metal, diameter, velocity, base, (8 * diameter, 4 * diameter), spacing, **more)
 
@@ -71,7 +71,7 @@ PROOFS["two Ni 25 um, 20 us between"] = sequence("20 us", points=0)
 
 
 def compute(effects: str | list[str], said: Tables) -> dict[str, float]:
-    """Run a scene: its measures at its end, nan outside their range, temperatures as their rise, and `cpu_s`, the processor time."""
+    """Run a scene. Returns its measures at the end (nan if none; temperatures as their rise), and the processor time `cpu_s`."""
     checked = Scene.from_dict({"effects": effects, **said}, "effects_study")
     with computed(checked) as (result, cpu):
         last, T_0 = result.impacts[-1], checked.particles[-1].temperature
@@ -93,7 +93,7 @@ def influence(docs: bool) -> list[Row]:
         return ["all", f"+{GRADIENTS}"] if GRADIENTS in STUDIES[name][1] else ["all"]
 
     def row_of(name: str, effect: str) -> dict[str, object]:
-        """Changes in percent of what it is with everything on; nan where that is 0."""
+        """Changes of the measures, in percent of their values with all effects on; nan if a value is 0."""
         said = STUDIES[name][0]
         numbers = {row.name: row.value for row in plan(Scene.from_dict(said, "effects_study")).decisions}
         values = compute([*base(name), f"-{effect}"], said)
@@ -105,9 +105,9 @@ def influence(docs: bool) -> list[Row]:
 
 
 def in_turn(scenes: Mapping[str, Scene], rounds: int) -> dict[str, Sequence[float]]:
-    """Processor time (s) of each ten steps of impacts that differ in their effects, until CROSSINGS x D/v, the least of some rounds.
+    """Processor time (s) of each ten steps of impacts that differ in their effects, until CROSSINGS x D/v; the least of all rounds.
 
-    They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
+    The impacts advance in turn, ten steps at a time. The first ten steps do not count: they load compiled code.
     """
     least: dict[str, Sequence[float]] = {}
     for _ in range(rounds):
@@ -128,7 +128,7 @@ def in_turn(scenes: Mapping[str, Scene], rounds: int) -> dict[str, Sequence[floa
 
 
 def proof(name: str, rounds: int) -> dict[str, object]:
-    """Everything that can act against `auto`, at draft: steps of single impacts in turn, a sequence as whole runs in turn."""
+    """Time of all effects and of `auto`, at draft: of the steps of single impacts, or of whole runs of a sequence, in turn."""
     said = PROOFS[name] | {"preset": "draft"}
     scenes = {each: Scene.from_dict({"effects": each, **said}, "effects_study") for each in ("all", "auto")}
     if len(scenes["auto"].particles) == 1:
@@ -155,7 +155,7 @@ def draw(largest: Mapping[str, list[float]]) -> None:
 
 
 def write(changes: list[Row], against: list[Row]) -> None:
-    """Write the table of effects and what `auto` saves into the page, and its figure."""
+    """Write the table of the effects, the time that `auto` saves and the figure into the page."""
     lines, largest = [], {}
     for effect in EFFECTS:
         own = [row for row in changes if row["effect"] == effect.name]

@@ -120,7 +120,7 @@ class ElementImpact:
 
 
 def strike(impact: ElementImpact, probe: Callable[[], None] = lambda: None) -> dict[str, dict[str, float]]:
-    """Advance an impact to rest; measures at its `greatest` deformation and at its `end`. Raises SolverError.
+    """Advance an impact to rest. Returns its measures at `greatest` deformation and at the `end`. Raises SolverError.
 
     probe: called after each CHUNK of steps.
     """
@@ -194,7 +194,7 @@ def row_of(case: str, method: str, size: str) -> dict[str, object]:
 
 
 def part(rows: Sequence[Row]) -> list[str]:
-    """What points and elements differ by in each case, at the smallest size."""
+    """Lines of the table of the page: differences between points and elements in each case, at the smallest size."""
     of = {(row["case"], row["method"]): row for row in rows if row["size_um"] == f"{SIZES[-1]:g}" and not row["failed"]}
     lines = []
     for case, (metal, velocity) in CASES.items():

@@ -53,8 +53,8 @@ def compute(name: str, preset: str) -> dict[str, object]:
 
 
 def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float]]:
-    """Of the scenes with a measure at a preset, its error, and the measure at `fine`: error and difference from fine, both over
-    the value (of temperatures: over their rise at 300 K)."""
+    """For each scene that has a measure at a preset, its error, and the measure at `fine`: error and difference from fine, both over
+    the value (temperatures: over the rise from 300 K)."""
     found = []
     fine = {row["scene"]: row for row in rows if row["preset"] == "fine" and not row["failed"]}
     for row in rows:
@@ -114,7 +114,7 @@ def time_part(rows: Sequence[Row]) -> list[str]:
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Difference from fine over time at the presets, and the printed error over the true difference."""
+    """Draw the difference from fine against time at the presets, and the printed error against the true difference."""
     coarse, standard = (by_scene(rows, preset) for preset in PRESETS[:2])
     with drawing("errors", 10.0, 4.2, "constrained") as figure:
         left, right = figure.subplots(1, 2)

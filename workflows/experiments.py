@@ -53,7 +53,7 @@ def rebounds(preset: str) -> list[Key]:
 
 
 def fine() -> list[Key]:
-    """Those of the window with more points, the first set of each metal first."""
+    """Keys of the velocities in the window at `standard`, the first set of each metal first."""
     keys = [key for key in rebounds("standard") if in_window(float(key[2]))]
     return sorted(keys, key=lambda key: key[1] != first_set(key[0]))
 
@@ -136,7 +136,7 @@ def errors(rows: Sequence[Row], metal: str, name: str, preset: str) -> tuple[flo
 
 
 def band_of(rows: Sequence[Row], metal: str) -> float:
-    """Half-width of the band of the discretisation of the restitution of a metal; as measurements.toml says, of the parts computed."""
+    """Half-width of the error of the restitution of a metal due to the discretisation, by the rule in measurements.toml."""
     first = first_set(metal)
     coarse, standard = (dict(zip(*curve(rows, metal, first, preset), strict=True)) for preset in PRESETS)
     points = [abs(standard[v] - coarse[v]) for v in standard if v in coarse and in_window(v)]
@@ -168,7 +168,7 @@ def splat_ratio(row: Row) -> float:
 
 
 def splat_part(rows: Sequence[Row]) -> list[str]:
-    """Ratio of splats on 4340 by each strength set and of each powder, by hardness; that of a set as Tabor has it."""
+    """Flattening of splats on 4340 by hardness: computed with each strength set (hardness by Tabor), and measured for each powder."""
     done = [row for row in rows if not row["failed"]]
     lines = []
     for row in done:
@@ -197,7 +197,7 @@ def suspects_part(rows: Sequence[Row]) -> list[str]:
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Restitution over velocity, measured and of every set, with the bands of both sides."""
+    """Draw the restitution against velocity, measured and with every strength set, with the errors of both."""
     with drawing("restitution_sets", 11.0, 5.6) as figure:
         for left, metal in zip((0.07, 0.56), METALS, strict=True):
             axis, half = figure.add_axes((left, 0.3, 0.42, 0.65)), band_of(rows, metal)

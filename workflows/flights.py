@@ -1,6 +1,6 @@
-"""Velocity, temperature and deposition efficiency of published sprays by our gas and flight: python workflows/flights.py (seconds)
+"""Velocity, temperature and deposition efficiency of published sprays, by the models of gas and flight: python workflows/flights.py
 
-The published values, the readings and what is assumed of the nozzles are in measurements.toml and laboratory_nozzles.toml. Writes
+The published values, the readings and the assumptions about the nozzles are in measurements.toml and laboratory_nozzles.toml. Writes
 docs/tables/flights.csv and its part of the page on the gas.
 """
 

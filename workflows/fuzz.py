@@ -1,8 +1,8 @@
 """Random scenes over the whole allowed range of every field: python workflows/fuzz.py [--n 100] [--seed 1] [--keep DIR]
 
-Each is computed by the command, coarse and for a short time, in a forked process. Allowed ends: a result (exit code 0; 4:
-not at rest in its time, which it says) in which `verify.check` finds no fault, or one message (2: the scene is refused, 3: the solver
-gives up), within the time. All else (a fault, a traceback, a signal, no end) is printed and kept in DIR, and the exit code is then 1.
+`coldspray run` computes each scene, coarse and for a short time, in a forked process. Allowed ends within the time limit: a result
+in which `verify.check` finds no fault (exit code 0; 4: not at rest, with a message), or one message (2: the scene is refused, 3: the
+solver gives up). Every other end (a fault, a traceback, a signal, no end) is printed and kept in DIR; the exit code is then 1.
 """
 
 import contextlib
@@ -43,12 +43,12 @@ ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
 
 
 def log_between(dice: random.Random, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+    """A random number between low and high; its logarithm is uniformly distributed."""
     return math.exp(dice.uniform(math.log(low), math.log(high)))
 
 
 def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any]:
-    """A table [particle], any field left out now and then."""
+    """A table [particle]; each optional field is left out in some tables."""
     velocity, angle = log_between(dice, 10, 2000), dice.uniform(0, 80)
     fall = 1e-3 * velocity * math.cos(math.radians(angle))  # um/ns
     table: dict[str, Any] = {
@@ -99,7 +99,7 @@ def roughness(dice: random.Random, diameter: float, spacing: float) -> dict[str,
 
 
 def surface(dice: random.Random, substrate: dict[str, Any]) -> dict[str, Any]:
-    """A polymer as ground, or a file of heights on it, in a sixth of the scenes: changes of the table substrate."""
+    """Changes of the table [substrate] in a sixth of the scenes: a polymer as its material, a file of heights, or both."""
     said: dict[str, Any] = {"material": dice.choice(POLYMERS)} if dice.random() < 0.08 else {}
     across = float(substrate["diameter"].split()[0]) * dice.uniform(0.98, 1.3)
     name, pitch = dice.choice((("map.csv", across / (SAMPLES - 1)), ("patch.stl", across / 2.0)))
@@ -110,8 +110,8 @@ def surface(dice: random.Random, substrate: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_files(dice: random.Random, folder: Path) -> None:
-    """Files that scenes name: waves of about 1 as a matrix and as an open patch from -1 to 1, a closed surface with none to two others
-    inside, the mass flow over a spot."""
+    """Write the files that scenes name: heights of about 1, as a matrix and as an open surface over -1 to 1; a closed surface with none
+    to two pores; the mass flow against the radius of a spot."""
     axis = np.linspace(-1.0, 1.0, SAMPLES)
     x, y = np.meshgrid(axis, -axis)
     waves = [[dice.uniform(-6.0, 6.0), dice.uniform(-6.0, 6.0), dice.uniform(-3.0, 3.0)] for _ in range(3)]
@@ -143,7 +143,7 @@ def bond(dice: random.Random) -> dict[str, Any]:
 
 
 def flight_time(table: dict[str, Any], spacing: float) -> float:
-    """Time in ns from the start of a particle to its contact. spacing: um; half of it is the gap unless said."""
+    """Time in ns from the start of a particle to its contact. spacing: um; without a key `gap`, the gap is half a spacing."""
     said = table.get("gap", f"{spacing / 2} um"), table["velocity"], table.get("angle", "0 deg")
     gap, velocity, angle = (float(text.split()[0]) for text in said)
     return 1e3 * gap / (velocity * math.cos(math.radians(angle)))
@@ -171,7 +171,7 @@ def powder(dice: random.Random, diameter: float, spacing: float) -> dict[str, An
 
 
 def spray(dice: random.Random) -> dict[str, Any]:
-    """A table [spray], with a gun that moves in two of three."""
+    """A table [spray]; in two of three tables the gun moves."""
     spot = dice.uniform(2, 10)
     said: dict[str, Any] = {
         "feed_rate": f"{log_between(dice, 1, 100):.3g} g/min", "spot": f"{spot:.3g} mm",
@@ -188,7 +188,7 @@ def spray(dice: random.Random) -> dict[str, Any]:
 
 
 def coating(seed: int) -> dict[str, Any]:
-    """The scene of a seed with a table [coating]: two or three particles of one to three powders, half of them to the end and cold."""
+    """The scene of a seed with a table [coating]: two or three particles of one to three powders. About half of the scenes end cold."""
     dice = random.Random(f"coating {seed}")
     diameter, count = log_between(dice, 3, 80), dice.choice((2, 2, 2, 3))
     spacing = 0.8 * diameter * (math.pi / 6 / log_between(dice, 205, 320)) ** (1 / 3)
@@ -229,7 +229,7 @@ def coating(seed: int) -> dict[str, Any]:
 
 
 def scene(seed: int) -> dict[str, Any]:
-    """The scene of a seed: fields over their ranges, but sizes that go together, so that most can be computed. A third are coatings."""
+    """The scene of a seed. Fields vary over their ranges, but sizes fit together, so that most scenes run. A third are coatings."""
     if seed % 3 == 0:
         return coating(seed)
     dice = random.Random(seed)
@@ -247,7 +247,7 @@ def scene(seed: int) -> dict[str, Any]:
     }  # fmt: skip
     if dice.random() < 0.3:
         substrate["temperature"] = f"{log_between(dice, 100, 1500):.4g} K"
-    substrate |= roughness(random.Random(f"rough {seed}"), diameter, spacing)  # its own dice: a seed keeps all else
+    substrate |= roughness(random.Random(f"rough {seed}"), diameter, spacing)  # own dice: other fields stay the same
     hard = random.Random(f"hard {seed}")
     for table in (*particles, substrate):
         if hard.random() < 0.1:
@@ -258,7 +258,7 @@ def scene(seed: int) -> dict[str, Any]:
         elif hard.random() < 0.07:
             table |= {"shape": "file", "file": "powder.stl"}
     substrate |= shape(random.Random(f"shape {seed}"), diameter, spacing)
-    if "layer" in substrate:  # which is flat
+    if "layer" in substrate:  # layers are flat
         substrate.pop("roughness", None)
     substrate |= surface(random.Random(f"surface {seed}"), substrate)
     resolution: dict[str, Any] = {"spacing": f"{spacing:.4g} um"}
@@ -267,7 +267,7 @@ def scene(seed: int) -> dict[str, Any]:
     if dice.random() < 0.3:
         resolution["growth"] = round(log_between(dice, 0.1, 1.0), 3)
     crossing = diameter / float(particles[0]["velocity"].split()[0]) * 1e3  # ns
-    # as many steps as a second or two can make: a particle at 10 m/s is not followed to its rest
+    # as many steps as take a second or two of computing time: a run of a particle at 10 m/s ends before it is at rest
     end = min(1.5 * crossing, 60.0 * diameter / 25.0)
     flight = max(flight_time(table, spacing) for table in particles)
     said: dict[str, Any] = {
@@ -290,7 +290,7 @@ def scene(seed: int) -> dict[str, Any]:
 
 
 def verdict(code: int | None, said: str, faults: Sequence[str] = ()) -> str:
-    """What is wrong with an end; nothing if it is allowed. code: None for no end; said: by the command; faults: of its result."""
+    """Text: what is wrong with an end; "" if it is allowed. code: exit code, None: no end; said: output; faults: of the result."""
     if code is None:
         return "no end in time"
     if code not in ENDS:
@@ -369,8 +369,8 @@ def tried(
 ) -> int:
     """Play n seeds and print how they end. Returns 1 if one came to an end that is not allowed.
 
-    play(seed, folder): how a seed ends, and what is wrong with that, "" for nothing; what lies in the folder, which is within one of
-    the seed's own, is then kept in keep/SEED.
+    play(seed, folder): returns how a seed ends, and what is wrong with this end, "" for nothing. If something is wrong, the folder is
+    copied to keep/SEED. The parent of the folder belongs to this seed alone.
     """
     a = options(about, argv=argv, n=n, seed=1, keep=Path(keep))
     ends: Counter[str] = Counter()

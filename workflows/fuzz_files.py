@@ -1,8 +1,8 @@
 """Damaged files of every kind that a command reads: python workflows/fuzz_files.py [--n 2000] [--seed 1] [--keep DIR]
 
-Each mutation is read by its command in a forked process with limits on memory and time; files that are no regular ones, and contents
-made to mislead, are in tests/files. Allowed ends: a result (exit code 0), one message (2, 3), or an undecided run (4). After anything
-else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its log is kept in DIR, and the exit code is 1.
+A command reads each damaged file in a forked process with limits on memory and time. (Files that are not regular, and misleading
+contents, are tested in tests/files.) Allowed ends: a result (exit code 0), one message (2, 3), or an undecided run (4). After any other
+end (a traceback, a warning of a library, a signal, no end) the damage is printed, the log is kept in DIR, and the exit code is 1.
 """
 
 import importlib
@@ -62,7 +62,7 @@ KINDS: dict[str, dict[str, Any]] = KNOWN["kinds"]
 
 
 def prepare(folder: Path) -> None:
-    """One sound file of each kind."""
+    """Write one undamaged file of each kind."""
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(ROOT / "workflows" / "fast_ni.toml", folder / "scene.toml")
     shutil.copy(ROOT / "workflows" / "coating_ni.toml", folder / "coating.toml")
@@ -92,7 +92,7 @@ def prepare(folder: Path) -> None:
     made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary())
     tiny = Scene.from_text(TINY)
     Store.create(folder / "begun", tiny.to_toml(), plan_json=plan_text(plan(tiny))).close()
-    for name in ("runs/one", "good"):  # of one impact, its bodies told apart
+    for name in ("runs/one", "good"):  # add the column of the impact, and the field of the body
         table = folder / name / "history.csv"
         head, *lines = table.read_text().splitlines()
         table.write_text("\n".join([f"{head},impact", *(f"{line},1" for line in lines)]) + "\n")
@@ -106,11 +106,11 @@ def prepare(folder: Path) -> None:
         checkpoint.write(folder / "broken", {"records": [], "store": store, "n": 3}, {"version": "0", "scene": "x"})
 
 
-# --- mutations: a function of (dice, path) that damages the file there and says how
+# --- mutations: functions of random numbers (dice) and a file (its path or bytes), which they damage; they return what was done
 
 
 def spoil(dice: random.Random, data: bytearray) -> str:
-    """A fault of a disk or a transfer, from some byte on."""
+    """Damage as by a faulty disk or transfer, at a random byte."""
     at, length = dice.randrange(len(data)), dice.choice((1, 8, 200, 4096))
     here, rest = bytes(data[at : at + length]), bytes(data[at + length :])
     how, new = dice.choice((
@@ -122,7 +122,7 @@ def spoil(dice: random.Random, data: bytearray) -> str:
 
 
 def number(dice: random.Random, data: bytearray) -> str:
-    """Another value for a number or a text."""
+    """Replace a number or a text by another value."""
     spots = list(re.finditer(rb'"[^"\n]{0,80}"|-?\d+\.?\d*(?:e[+-]?\d+)?', bytes(data)))
     if not spots:
         return spoil(dice, data)
@@ -132,7 +132,7 @@ def number(dice: random.Random, data: bytearray) -> str:
 
 
 def lines(dice: random.Random, data: bytearray) -> str:
-    """A line in the place of another: missing there, twice here."""
+    """Replace a line by a copy of another line."""
     rows = bytes(data).split(b"\n")
     i, j = dice.randrange(len(rows)), dice.randrange(len(rows))
     rows[j] = rows[i]
@@ -158,7 +158,7 @@ TEXT = (*(number,) * 4, lines, *BYTES)
 
 
 def hdf5(dice: random.Random, path: Path) -> str:
-    """A sound HDF5 file with contents that no run writes."""
+    """Keep a valid HDF5 file, but change its contents to what no run writes."""
     with h5py.File(path, "r+", locking=False) as file:
         names: list[str] = []
         file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
@@ -179,7 +179,7 @@ def hdf5(dice: random.Random, path: Path) -> str:
 
 
 def crafted(dice: random.Random, path: Path) -> str:
-    """A checkpoint with another header and checksums that fit."""
+    """Change the header of a checkpoint, and write checksums that match."""
     with np.load(path) as file:
         arrays = dict(file)
     header = bytearray(arrays.pop("header").tobytes())

@@ -1,10 +1,10 @@
-"""Runs the pages and notebooks of docs/gallery as they are written, and keeps what they print and draw:
+"""Runs the pages and notebooks of docs/gallery, and stores what they print and draw:
 python workflows/gallery.py [PAGE ...]
 
-The blocks of a page run in order in a folder of their own: a TOML block is a file, its name in the first line; a Python block and a
-console block print into a block of text behind them. Pictures that the page shows are kept beside it, in 256 colours, and its last
-line says how long all of it took. A notebook runs in a folder of its own, too, and holds its outputs itself. Each takes from 10 s to
-some minutes of processor time.
+The blocks of a page run in order in a temporary folder. A TOML block is a file, whose name is in its first line; the output of a Python
+block or a console block is written to a text block below it. Pictures of the page are stored beside it, in 256 colours, and its last
+line gives the processor time. A notebook also runs in a temporary folder, and contains its outputs. Each takes from 10 s to some
+minutes of processor time.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ BLOCK = re.compile(r"^```(console|python|toml)\n(.*?)^```\n(?:\n```text\n.*?^```
 
 
 def printed(kind: str, text: str, names: dict[str, Any]) -> str:
-    """Run a block in the working directory; what it prints. names: those that Python blocks before have defined."""
+    """Run a block in the working directory. Returns what it prints. names: names that earlier Python blocks have defined."""
     if kind == "toml":
         Path(text.split()[1]).write_text(text)
         return ""
@@ -67,7 +67,7 @@ def run_page(page: Path) -> None:
 
 
 def run_notebook(path: Path) -> None:
-    """Run a notebook and write it with its outputs; of what has a form in HTML, that alone: the others name folders."""
+    """Run a notebook and write it with its outputs. Outputs in HTML or as a picture lose their text form, which names folders."""
     book = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as place:
         NotebookClient(

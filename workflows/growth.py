@@ -1,8 +1,8 @@
 """How the time of an impact grows with the splats before it: python workflows/growth.py [--impacts 10] [--docs]
 
 Nickel particles of 20 um at 550 m/s on steel, coarse (700 points), at places drawn from a seed within 12 um of the axis. One line for
-each impact in docs/tables/growth.csv: elements, steps, and wall time (one thread) of the steps and of what comes before them (the splat
-before becomes a body, joins, comes to rest; building). --docs computes nothing and draws the figure of the page on speed.
+each impact in docs/tables/growth.csv: elements, steps, and wall time (one thread) of the steps and of the work before them (meshing,
+joining and equilibrium of the previous splat; building of the model). --docs only draws the figure of the page on speed.
 """
 
 import random

@@ -1,7 +1,7 @@
 """How good is it? Every comparison with a laboratory in one table: python workflows/how_good.py   # docs/evidence/how_good.md
 
 Runs nothing: reads the tables of the studies; measured values are in measurements.toml and paper_values.toml. Two values are apart when
-they differ by more than the root of the sum of the squares of their errors, those that are known.
+they differ by more than the root of the sum of the squares of their errors; an unknown error counts as 0.
 """
 
 import math
@@ -23,7 +23,7 @@ COATINGS = "[coatings](coating_stress.md)"
 
 
 class Pair(NamedTuple):
-    """A measured value, a computed one, and their errors, nan where these are not known; digits: after the point; page: with source."""
+    """A measured value, a computed one, and their errors, nan if unknown. digits: decimal places; page: link to a page with sources."""
 
     kind: str
     what: str
@@ -132,7 +132,7 @@ def table(pairs: list[Pair]) -> list[str]:
 
 
 def draw(pairs: list[Pair]) -> None:
-    """Computed over measured values of each kind."""
+    """Draw computed against measured values, a panel for each kind."""
     kinds = list(dict.fromkeys(p.kind for p in pairs))
     with drawing("how_good", 11.0, 6.4, "constrained") as figure:
         for axes, kind in zip(figure.subplots(2, 3).flat, kinds, strict=True):

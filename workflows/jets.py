@@ -1,6 +1,6 @@
-"""Does a splat converge, and its jet: python workflows/jets.py [--docs]
+"""Convergence of a splat and its jet: python workflows/jets.py [--docs]
 
-Five fast impacts at the presets, one of them with 64,000 points, and with the particle as finite elements as long as these live.
+Five fast impacts at the presets, one also with 64,000 points; then with the particle as elements, until it rests or an element fails.
 Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
 """
 
@@ -27,9 +27,9 @@ CASES = {
     "Ti64 25 µm, 1000 m/s, on SS304": ("Ti64", 25, 1000, "SS304"),
 }
 PRESETS = ("draft", "standard", "fine")
-FINEST = ("Ti64 25 µm, 1000 m/s, on SS304", "64000 points")  # others thin so far that their steps take a day
+FINEST = ("Ti64 25 µm, 1000 m/s, on SS304", "64000 points")  # in the other cases a run takes a day: points thin more
 SIZES = (3.4, 2.4, 1.7, 1.2)  # um, edges of the particle's elements and of the target's
-THINNED = 0.1  # of its length: a point compressed further
+THINNED = 0.1  # a point with a smaller least principal stretch counts as thinned
 SHAPE = {"height": "height_m", "thickness": "thickness_m", "diameter": "splat_diameter_m"}
 
 
@@ -106,7 +106,7 @@ def at_rest(rows: list[Row], case: str, body: str) -> list[Row]:
 
 
 def page(rows: list[Row]) -> None:
-    """Write the table of the page: of each impact the measures at the presets."""
+    """Write the table of the page: the measures of each impact at all presets and sizes."""
     measures = {"stretch_median": 2, "stretch_99": 1, "height": 2, "thickness": 2, "diameter": 2, "jet_um": 1}
     lines = []
     for case, body in itertools.product(CASES, ("points", "elements")):
@@ -118,7 +118,7 @@ def page(rows: list[Row]) -> None:
 
 
 def draw(rows: list[Row]) -> None:
-    """Draw thickness and stretch over the number of points, and of elements."""
+    """Draw thickness and stretch against the number of points, and of elements."""
     with drawing("jets", 9.6, 3.8, "constrained") as figure:
         left, right = figure.subplots(1, 2)
         for (k, case), body in itertools.product(enumerate(CASES), ("points", "elements")):

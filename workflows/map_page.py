@@ -6,7 +6,7 @@ from study_table import number, table_rows
 from coupler.studies.maps import interpolate
 
 AXES = ("velocity_m_s", "diameter_m")
-# Measure -> name, digits; over the diameter where it is a length.
+# Measure -> name, digits. Lengths are divided by the diameter.
 SHOWN = {
     "flattening_ratio": ("flattening", 2), "crater_depth_m": ("crater / diameter", 2), "T_p99_K": ("temperature of 99 %, K", 0),
     "restitution": ("rebound / impact velocity", 3),

@@ -26,7 +26,7 @@ DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
 SAMPLE = 75
 SAMPLED = ("draft", "standard")  # presets
-SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
+SCATTER = 0.15  # of the logarithms about the fit: impacts with a larger deviation count less
 
 
 def row_of(metal: str, on: str, D: str, v: str, T: str, T_target: str, angle: str, preset: str) -> dict[str, object]:
@@ -54,7 +54,7 @@ def drawn() -> Iterator[tuple[str, ...]]:
 
 def impacts() -> tuple[np.ndarray, ...]:
     """Damage numbers d_p, d_t, points N, angle (rad), ln(time to rest v / D), ln(spacing / (c dt)), each (n,), of the single impacts in
-    docs/tables that nothing has rescued and that are no coarser than `draft`."""
+    docs/tables that needed no retry and are not coarser than `draft`."""
     singles: list[tuple[Material, Material, float, float, float, float, float, float, float, float]] = []
     steel = material("SS304")
     battery = stability.battery()
@@ -102,7 +102,7 @@ def fit() -> None:
         excess += np.exp(k[2]) * (pressed * w_t) ** k[3]
         return np.log(1.0 / cost.CFL["enriched"] + excess * (N / 1000.0) ** (k[5] * alone))
 
-    print(len(rest), "impacts; a, b of the particle, a, b of the target, and the last ones")
+    print(len(rest), "impacts; constants: a, b of the particle, a, b of the target, then all others")
     parts = []
     for name, model, wanted, start in (("REST_FIT", crossings, rest, [-1, 0.3, -1, 0.5, 1]),
                                        ("STEP_FIT, SHEARED", steps, inverse, [-1, 1, -1, 0.6, 0.5, 0.5, 1.5])):  # fmt: skip

@@ -34,7 +34,7 @@ def scene_file(name: str, **changes: object) -> Scene:
 def drawing(
     name: str, width: float, height: float, layout: Literal["constrained"] | None = None, dpi: float = 110.0
 ) -> Iterator[Figure]:
-    """A figure of so many inches, which is written to docs/evidence/NAME.png at the end."""
+    """A figure of width x height inches. At the end it is written to docs/evidence/NAME.png."""
     figure = blank(width, height, dpi, layout)
     yield figure
     save(figure, EVIDENCE / f"{name}.png")
@@ -47,8 +47,8 @@ def spent() -> float:
 
 
 def options(about: str, *switches: str, argv: Sequence[str] | None = None, **values: object) -> argparse.Namespace:
-    """The options of a script, which its docstring explains: switches, and others with a value of the type of their default. argv:
-    words of the command line, by default those of this process."""
+    """The options of a script: switches, and `values`, options whose value has the type of the default. about: docstring of the script;
+    argv: words of the command line, by default those of this process."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in switches:
         parser.add_argument(f"--{name}", action="store_true")
@@ -80,7 +80,7 @@ def impact_tables(
 
 @contextmanager
 def computed(scene: Scene, folder: Path | None = None, **more: Any) -> Iterator[tuple[Result, float]]:
-    """Run a scene in one thread: its result and the processor time, s. folder: None: one that is removed; more: options of `run`."""
+    """Run a scene in one thread: its result and the processor time, s. folder: None for a temporary one; more: options of `run`."""
     started = time.process_time()
     with tempfile.TemporaryDirectory() as place:
         result = run(scene, folder or Path(place) / "run", force=True, threads=1, quiet=True, **more)
@@ -88,12 +88,12 @@ def computed(scene: Scene, folder: Path | None = None, **more: Any) -> Iterator[
 
 
 def spacing_of(points: int, diameter: float = 25.0) -> float:
-    """Spacing (um) of so many points in a sphere of a diameter (um)."""
+    """Spacing (um) of a number of points in a sphere of a given diameter (um)."""
     return (math.pi / 6.0 * diameter**3 / points) ** (1.0 / 3.0)
 
 
 def reference(now: Callable[[], float] = time.perf_counter) -> float:
-    """Seconds of a loop in numpy that fits into the cache of one core, the fastest of a few: times over it compare between machines."""
+    """Seconds of a numpy loop whose data fit into the cache of a core, to compare times between machines; the fastest of five."""
     a = np.random.default_rng(1).standard_normal((200, 200))
 
     def work() -> None:
@@ -104,7 +104,7 @@ def reference(now: Callable[[], float] = time.perf_counter) -> float:
 
 
 def machine() -> str:
-    """The machine that times were taken on, for the head of a table."""
+    """Text: the machine on which times are measured, for the head of a table."""
     return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
 
 

@@ -1,4 +1,4 @@
-"""Splats of copper that are pulled off their ground, over velocity and temperature: python workflows/pull_cu.py
+"""Splats of copper that are pulled off the substrate, by velocity and temperature: python workflows/pull_cu.py
 
 The scene is pull_cu.toml. Each impact is a row of docs/tables/pull_cu.csv that is not computed again; --docs only writes the page.
 """
@@ -43,7 +43,7 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
 
 def draw(rows: Sequence[Row]) -> None:
-    """Strength of cold particles over velocity, with the range of the film."""
+    """Draw the strength of splats of cold particles against velocity, with the range due to the film."""
     rows = [row for row in rows if float(row["particle_K"]) == 300.0]
     v, (central, thin, thick) = column(rows, "velocity_m_s"), (column(rows, end) for end in ENDS)
     with drawing("pull_cu", 4.5, 3.2, "constrained", 140) as figure:

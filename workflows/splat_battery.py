@@ -1,7 +1,7 @@
-"""Clouds of points that must become meshes: real impacts, synthetic hard ones and splats of runs.
+"""Conversion of many clouds of points to meshes: clouds of real impacts, hard synthetic clouds, and splats of runs.
 
     python workflows/splat_battery.py [--only PART]    # docs/tables/splats.csv, the figure and the page
-    python workflows/splat_battery.py --docs           # converts nothing but the clouds of the figure
+    python workflows/splat_battery.py --docs           # converts only the clouds of the figure
 
 Rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion, with gmsh.
 """
@@ -37,7 +37,7 @@ SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element siz
 
 
 def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
-    """Convert one cloud; its line of the table."""
+    """Convert one cloud and return its row of the table."""
     row: dict[str, Any] = {"kind": kind, "points": len(cloud.x)}
     before = spent()
     try:
@@ -60,7 +60,7 @@ def row_of(kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
 
 
 def compute(only: str, docs: bool) -> list[Row]:
-    """The rows of the table, with those that it lacks of the clouds with `only` in their names; docs: convert none."""
+    """The rows of the table. Missing rows of clouds with `only` in their names are computed first. docs: convert no cloud."""
     clouds = {name: each for name, each in splat_clouds.every().items() if only in name}
 
     def convert_one(name: str, ratio: str) -> dict[str, Any]:

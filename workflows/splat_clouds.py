@@ -1,4 +1,4 @@
-"""The clouds of the splat battery: those that real impacts leave, and synthetic hard ones."""
+"""The clouds of `splat_battery`: those of real impacts, and hard synthetic ones."""
 
 import json
 from collections.abc import Callable
@@ -25,7 +25,7 @@ Made = dict[str, Any]  # arrays and numbers of a cloud, by the names of `Cloud`
 
 
 def particle(metal: str, velocity: float, **more: object) -> str:
-    """The table of one particle of a scene, as JSON: 25 um, Ti 30 um; velocity m/s; more: further keys."""
+    """The table of one particle of a scene, as JSON. Its diameter is 25 um, or 30 um for Ti. velocity m/s; more: further keys."""
     diameter = "30 um" if metal == "Ti" else "25 um"
     return json.dumps({"material": metal, "diameter": diameter, "velocity": f"{velocity:g} m/s", **more})
 
@@ -51,7 +51,7 @@ def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[
 def impact(
     metal: str, velocity: float, points: int = 1000, onto: bool = False, moment: int = 1, **more: object
 ) -> Callable[[], Cloud]:
-    """An impact on SS304 to rest, after one at 500 m/s with `onto`; its cloud at the end (moment 1) or of greatest deformation (0)."""
+    """The cloud of an impact on SS304, at the end (moment 1) or at greatest deformation (0). onto: after a first impact at 500 m/s."""
     diameter = 30.0 if metal == "Ti" else 25.0
     before = (particle(metal, 500.0),) if onto else ()
     particles = (*before, particle(metal, velocity, **more))
@@ -93,7 +93,7 @@ def lip(x: np.ndarray, out: float = 1.3) -> np.ndarray:
 
 
 def curled(x: np.ndarray) -> np.ndarray:
-    """A bar bent until its ends all but touch."""
+    """A bar bent until its ends almost touch."""
     radius = 0.62 * float(np.ptp(x[:, 0])) / (2.0 * np.pi) * 1.75
     angle = x[:, 0] / radius
     r = radius + x[:, 2]
@@ -109,7 +109,7 @@ def starred(x: np.ndarray) -> np.ndarray:
 
 
 def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> Made:
-    """A body moved by a smooth map, with analytic fields; J is the map's."""
+    """A body moved by a smooth map, with analytic fields; J is the volume ratio of the map."""
     x = motion(body.points)
     step = 1e-4 * D
     moved = [motion(body.points + step * e) - motion(body.points - step * e) for e in np.eye(3)]
@@ -152,7 +152,7 @@ def pair(n: int, gap: float) -> Made:
 
 
 def shattered(n: int, sizes: tuple[int, ...], seed: int) -> Made:
-    """A splat with fragments of so many points separated from it."""
+    """A splat, and fragments apart from it; sizes: number of points of each fragment."""
     rng = np.random.default_rng(seed)
     whole = mapped(ball(n), lens, carried=False)
     parts = [whole]
@@ -165,7 +165,7 @@ def shattered(n: int, sizes: tuple[int, ...], seed: int) -> Made:
 
 
 def dust(n: int, share: float, seed: int) -> Made:
-    """A splat with a share of its points blown off one by one."""
+    """A splat, of which a share of the points lies far from it, each point alone."""
     rng = np.random.default_rng(seed)
     cloud = mapped(ball(n), lens, carried=False)
     off = rng.choice(len(cloud["x"]), round(share * n), replace=False)
@@ -183,7 +183,7 @@ def ring(n: int) -> Made:
 
 
 def scattered(n: int, seed: int) -> Made:
-    """Points on no lattice, at least 0.8 spacings apart, places only."""
+    """Points without a lattice, at least 0.8 spacings apart; the cloud has positions but no fields."""
     rng = np.random.default_rng(seed)
     spacing = (np.pi / 6.0 * D**3 / n) ** (1.0 / 3.0)
     x = rng.uniform(-0.5 * D, 0.5 * D, (12 * n, 3))

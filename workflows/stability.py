@@ -1,7 +1,7 @@
-"""Hard scenes, one after another: python workflows/stability.py [--docs] [--only TEXT: scenes with it in their names, computed again]
+"""Hard scenes, one after another: python workflows/stability.py [--docs] [--only TEXT: only scenes with TEXT in their names, again]
 
-Coarse (300 to 600 points), so that all of them take minutes. Rows in the table are not computed again, but for those that fail, so
-that the battery goes on where it was stopped. The judge of each result is `verify.check`, independent of the program's own.
+The scenes are coarse (300 to 600 points), so that all of them take minutes. Rows in the table are not computed again, except those
+that fail; a stopped study thus continues. `verify.check`, independent of the checks of the program, judges each result.
 """
 
 import tempfile
@@ -26,7 +26,7 @@ POINTS = 400
 USUAL: Table = {
     "material": "Ni", "diameter": "25 um", "velocity": "500 m/s", "angle": "0 deg", "offset": ["0 um", "0 um"], "shape": "sphere",
 }  # fmt: skip
-SLIDE, STEEP = 4.0, 60.0  # diameters that a particle slides beyond an angle, degrees
+SLIDE, STEEP = 4.0, 60.0  # distance, in diameters, that a particle slides if its angle (degrees) is larger than STEEP
 PATIENCE = 240.0  # s of processor time for one scene
 Judged = tuple[str, Table, list[str]]  # verdict, figures for the row, reasons
 
@@ -50,8 +50,8 @@ class Slow(Exception):
 
 
 def scene(particle: Table | list[Table], points: int = POINTS, **more: Any) -> Table:
-    """A scene with so many points in its largest particle, on a target four diameters wide, and wider where one slides. particle: what
-    changes of USUAL, without effect beside a table [coating]; more: what changes of other tables."""
+    """A scene on a target four diameters wide, or wider if a particle slides. particle: changes of USUAL, without effect if there is a
+    table [coating]; points: number of points of the largest particle; more: changes of other tables."""
     particles = [USUAL | each for each in (particle if isinstance(particle, list) else [particle])]
 
     def number(text: str) -> float:
@@ -148,13 +148,13 @@ def page_part(rows: list[Row]) -> list[str]:
 
 
 def share(row: Row, name: str) -> float:
-    """A share that the table has in percent, 0 where it has none."""
+    """A value that the table gives in percent, as a share; 0 if the cell is empty."""
     text = row[name]
     return abs(float(text[:-1])) / 100.0 if text.endswith("%") else abs(float(text or 0.0))
 
 
 def draw(rows: list[Row]) -> None:
-    """Numerical dissipation over the largest plastic strain, by verdict and number of attempts."""
+    """Draw numerical dissipation against the largest plastic strain, by verdict and number of attempts."""
     found = [row for row in rows if row["dissipated"]]
     again = "computed again", [row for row in found if row["rescues"] != "0"]
     groups = [

@@ -67,10 +67,10 @@ def study(
     name: str, key: Sequence[str], keys: Iterable[tuple[str, ...]] = (), row_of: Callable[..., Mapping[str, object]] = dict,
     may_fail: bool = False, remake: str = REMAKE,
 ) -> StudyTable:  # fmt: skip
-    """The table docs/tables/NAME.csv of a study, with the rows of keys computed and printed that it lacks. remake: the command.
+    """The table docs/tables/NAME.csv of a study. For each of `keys` that it lacks, a row is computed, added and printed.
 
-    key: the columns that identify a row; row_of: of the values of a key, the other columns. may_fail: a run can end with an error, its
-    reason is then in the column `failed`.
+    key: the columns that identify a row; row_of: function of the values of a key that returns the other columns; may_fail: if a run
+    ends with an error, the reason is in the column `failed`; remake: the command that computes the table.
     """
     table = StudyTable(TABLES / f"{name}.csv", key, f"remake: {remake} (rows in this table are not computed again)")
     for values in keys:
@@ -89,7 +89,7 @@ def study(
 
 
 def reason(problem: Exception) -> str:
-    """What a table says of an error, in one line."""
+    """The text of an error in one line, for a table."""
     return " ".join(str(problem).split())[:200]
 
 

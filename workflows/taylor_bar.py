@@ -3,8 +3,8 @@
 Elements (docs/tables/taylor_bar.csv): bars of copper and of 42CrMo4 steel, a quarter of each between two planes of symmetry; edges have
 the given size (mm) within five radii of the struck face and grow by a tenth per unit of distance behind. Points (taylor_bar_sph.csv):
 a bar of 42CrMo4. Rows in the tables are not computed again. Lengths are in mm, T_max in degrees Celsius; T_max and eps_p_max are the
-largest means over the elements around a node, with _element of single elements; energies are over the initial kinetic energy. The
-numbers of others, with their sources, are in tests/data/references.toml and sph_references.toml. --docs only draws.
+largest means over the elements around a node, columns with _element those of single elements; energies are over the initial kinetic
+energy. Published numbers, with sources, are in tests/data/references.toml and sph_references.toml. --docs only draws.
 """
 
 import time as clock
@@ -29,7 +29,7 @@ from coupler.physics.materials import material
 from coupler.physics.strength import Strength
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
 
-LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # mm; a quarter of an hour on one core
+LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # sizes, mm; a quarter of an hour on one core
 POINTS = (500, 1000, 2000, 4000, 8000, 16000)  # some ten minutes
 LARGEST = 1.0  # mm, of the elements
 GROWTH = 0.1
@@ -142,7 +142,7 @@ def taylor_bar(points: int | str, numerics: Numerics = NUMERICS, engine: str = "
 
 
 def draw() -> None:
-    """Length and diameter of the struck face of the steel bar over the number of elements or points, and the references."""
+    """Draw length and diameter of the struck face of the steel bar against the number of elements or points, with the references."""
     elements = [row for row in table_rows("taylor_bar") if row["case"] == "42CrMo4"]
     points = table_rows("taylor_bar_sph")
     panels = {"length": (0.09, "final length (mm)"), "diameter": (0.59, "diameter of the struck face (mm)")}

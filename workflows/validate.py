@@ -1,11 +1,11 @@
-"""The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
+"""Computes the cases and trends of the paper whose method coldspray follows, and compares them with its numbers.
 
-    python workflows/validate.py                   # what is not in the tables yet, then the page
-    python workflows/validate.py --only cases      # of: cases, pairs, spread, trends, shapes, scatter, figures
-    python workflows/validate.py --docs            # runs nothing: the page and its figures of the tables
+    python workflows/validate.py                   # computes what the tables lack, then writes the page
+    python workflows/validate.py --only cases      # one or more of: cases, pairs, spread, trends, shapes, scatter, figures
+    python workflows/validate.py --docs            # runs nothing: the page and its figures from the tables
 
-A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv; rows
-in the tables are not computed again, nor are those whose fields the figures show, in runs/validation. `validation_page.py` writes the
+A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv. Rows
+in the tables are not computed again. Runs whose fields the figures show are kept in runs/validation. `validation_page.py` writes the
 page from the tables and from paper_values.toml, `validation_figures.py` draws. Nothing is fitted.
 """
 
@@ -29,15 +29,15 @@ RUNS = DOCS.parent / "runs" / "validation"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
 TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
-# What the measured spread of impact velocities makes of cases A and B (m/s).
+# Impact velocities (m/s) of cases A and B: lowest, mean and highest of the measured spread.
 SPREAD = {"A": (413, 483, 553), "B": (398, 459, 520)}
 DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500, 625, 750, 875, 1000, 1125, 1250)
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
 # Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
 SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
-STRAINED = 0.2  # plastic strain: the greatest distance of such an element of the target from the axis is tabled
+STRAINED = 0.2  # plastic strain: the table has the greatest distance from the axis of an element that reaches it
 Case = tuple[str, Scene]  # a run: its key in the tables, its scene
-# Column: record that it is from (the impact, its own end, its splat at the end of the run), measure, factor from SI.
+# Column -> record with the value (the impact, its own end, its splat at the end of the run), measure, factor from SI.
 MEASURES = {
     "diameter_um": ("impact", "diameter_m", 1e6), "speed_m_s": ("impact", "speed_m_s", 1.0), "points": ("impact", "points", 1),
     "elements": ("impact", "elements", 1), "steps": ("impact", "steps", 1), "dt_ps": ("impact", "dt_mean_s", 1e12),
@@ -67,7 +67,7 @@ def pairs() -> Iterator[Case]:
 
 
 def scatter() -> Iterator[Case]:
-    """Case D over velocities and misalignments of an experiment, coarse; the first run has the velocities alone."""
+    """Case D over velocities and misalignments of an experiment, coarse. The first run has the mean velocities and no misalignment."""
     mean, spread = FIRST_VELOCITY
     points = qmc.Sobol(4, rng=1).random(SAMPLES)
     samples = [(mean, (0.0, 0.0), (0.0, 0.0))]
@@ -138,8 +138,8 @@ def rows_of(name: str, scene: Scene, result: Result) -> list[dict[str, object]]:
 def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
     """Mean pressure (Pa) and area (m2) of a contact: the force (N) along z over the area that the touching points fill, seen along z.
 
-    touching (k,3): positions in m of the points in contact, two or more rings of them; their convex hull is taken, as a round
-    contact has no holes. Fewer than three points, or points in a line, fill no area: both are 0 then.
+    touching (k,3): positions in m of the points in contact, two or more rings of them. The area is that of their convex hull, because
+    a round contact has no holes. For fewer than three points, or points in a line, pressure and area are 0.
     """
     flat = touching[:, :2]
     if len(flat) < 3 or np.linalg.matrix_rank(flat - flat[0], tol=1e-12) < 2:
@@ -162,7 +162,7 @@ class PressureProbe:
 
 
 def fill(name: str, cases: Iterable[Case], keep: bool = False) -> None:
-    """Compute the runs that a table lacks, or RUNS where they are kept."""
+    """Compute the runs that a table lacks. keep: also runs that are not in the folder RUNS, where they are then kept."""
     table = study(name, ("run", "impact"), remake="make validate")
     for run, scene in cases:
         folder = RUNS / run if keep else None

@@ -46,7 +46,7 @@ def axis_rows(name: str, result: Result) -> list[dict[str, object]]:
 
 
 def draw_sections(axes: NDArray, runs: Mapping[str, Result], view: View, names: Sequence[str]) -> None:
-    """Draw the sections of runs at their end, a run a column, a field a row. runs: by words above; axes (rows, runs + 1)."""
+    """Draw the sections of runs at their end: a column for each run, a row for each field. runs: by heading; axes (rows, runs + 1)."""
     sections = [cross_section(result, -1, names, stage(result), view) for result in runs.values()]
     for row, name in zip(axes, names, strict=True):
         ends = colour_range(sections, name)
@@ -94,7 +94,7 @@ def runs_of(rows: Sequence[Row], by: str, **constant: float) -> list[Row]:
 
 
 def draw_trends() -> None:
-    """Figures 7a, 7b and 9c of the paper: over diameter, for COLOURS, and over velocity."""
+    """Draw figures 7a, 7b and 9c of the paper: measures against diameter, for COLOURS, and against velocity."""
     figure, rows = blank(11.0, 5.2, 100, "constrained"), table_rows("validation_trends")
     axes = figure.subplots(2, 3)
     for (name, words), (upper, lower) in zip(TRENDS.items(), axes.T, strict=True):
@@ -114,7 +114,7 @@ def draw_trends() -> None:
 
 
 def write(figure: Figure, name: str) -> None:
-    """Write a figure of the page. Colours in steps of 4 of 256 halve the file."""
+    """Write a figure of the page. Colours are rounded to steps of 4 of 256, which halves the size of the file."""
     path = EVIDENCE / f"{name}.png"
     save(figure, path)
     Image.open(path).convert("RGB").point(lambda value: value | 3).save(path, optimize=True)

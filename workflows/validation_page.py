@@ -17,7 +17,7 @@ PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())
 
 @dataclass(frozen=True)
 class Splat:
-    """A particle of cases A to D: its name, our row, and numbers of it, "ours" and the paper's by METHODS, nan where there is none."""
+    """A particle of cases A to D: name, row, and two numbers: computed ("ours") and those of the paper by METHODS, nan if none."""
 
     name: str
     row: Row
@@ -122,7 +122,7 @@ def contact(rows: Sequence[Row]) -> list[str]:
 
 
 def pairs(rows: Sequence[Row], curves: Sequence[Row]) -> list[str]:
-    """What figures 6 and 8 to 10 of the paper say, and ours."""
+    """Sentences that compare our results with figures 6 and 8 to 10 of the paper."""
     paper, alone = PAPER["double_Ni"], PAPER["single_Ni_500"]
     both = [run_rows(rows, f"Ni-Ni-{name}") for name in ("500-300K", "500-600K", "1000-300K")]
     aspects = [" and ".join(f"{ratio_of(row):.1f}" for row in own) for own in both]
@@ -130,7 +130,7 @@ def pairs(rows: Sequence[Row], curves: Sequence[Row]) -> list[str]:
     hottest = [np.maximum(column(own, "T_max"), column(own, "target_T_max")).max() for own in both]
 
     def at(time: float, name: str, form: str, run: str = "500-300K") -> str:
-        """Values (stresses in MPa) of nickel and steel at the first contact at a time (ns), or the largest (inf)."""
+        """Text: values (stresses in MPa) of nickel and steel at the first contact at a time (ns), or the largest values (time inf)."""
         values = []
         for body in ("splat", "substrate"):
             own = [r for r in curves if (r["run"], r["over"], r["body"]) == (run, "time", body)]

@@ -26,31 +26,31 @@ Array = NDArray[np.float64]
 LEDGER = 0.01  # largest |drift| of the ledger at the end of an impact
 SUM = 1e-6  # sum of the ledger's columns against its drift
 MOMENTUM = 1e-10  # over the initial momentum
-KINETIC = 0.005  # from the velocities of the fields, against the history; of E_0 and the elastic energy before
-ELASTIC = 0.05  # the same from stresses, of E_0 and what the target holds before
-AVERAGED = 0.25  # of that energy itself: the fields of an element have the mean of the pressures at its corners
-HEAT = 0.10  # rise of c_p T, over plastic work and friction, against the share of plastic work that heats
-STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts from: the fields are single precision
+KINETIC = 0.005  # kinetic energy from the fields against the history, over E_0 plus the elastic energy in the target before the impact
+ELASTIC = 0.05  # the same for the elastic energy, from the stresses
+AVERAGED = 0.25  # tolerance over the elastic energy: the stored pressure of an element is the mean over its corners
+HEAT = 0.10  # deviation of the heat (rise of c_p T) from the bounds by plastic work and friction, over these works
+STORED_HEAT = 0.05  # share of the heat of earlier impacts that is added to these works: fields have single precision
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
-# of the sum of all changes: volume follows pressure nonlinearly, and an element has the mean of its corners
+# tolerance over the sum of all changes of volume: volume depends nonlinearly on pressure, and an element has the mean of its corners
 AVERAGED_VOLUME = 0.05
-SKIN = 0.20  # volume inside the particle's surface, which is carried between the points, off that of the points
+SKIN = 0.20  # volume inside the carried surface of the particle against the volume of its points, relative
 SUNK = 0.01  # share of a particle that may lie deeper than a spacing in the target: single points of a jet, as the program allows
-# momentum that the contact takes, outside the sums of the lesser and of the greater force of two rows of the history, if it acts in so
-# many: a force of one step may rise and fall between rows
+# deviation of the momentum change from bounds by the smaller and the larger force of each two rows of the history, over the initial
+# momentum; checked if the force acts in more than ROWS rows, because a short force may rise and fall between two rows
 IMPULSE = 0.1
 ROWS = 10
-REST = 0.05  # of the impact speed, downwards: faster is not at rest
-FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
+REST = 0.05  # downward speed over the impact speed: a faster particle is not at rest
+FOLLOWED = 20.0  # plastic strain above which the summary must not give this strain as a number
 SAME = 1e-3  # figures of the summary against those of the fields
-# of the highest rise of temperature: what warms one element raises its nodes by the mean over the 24 elements or so around each, and
-# where nodes pass this on, a neighbour that shares three of its four nodes loses what it never had: at most 3/4 of a 24th
+# cooling over the highest rise of temperature: heat of one element reaches its nodes as a mean over about 24 elements around each.
+# If the nodes conduct it away, a neighbour that shares three of its four nodes cools, by at most 3/4 of a 24th of this rise
 UNDERSHOOT = 0.75 / 24.0
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
-AMBIENT = 5.0  # K from ambient after the closing stage, of any element: what flows as it comes to rest warms
-DISSIPATION = 0.25  # both schemes together; more needs a warning
-LENGTH = 1e-6  # m: unit of distances, for open3d computes in single precision
+AMBIENT = 5.0  # K from ambient, for any element after the closing stage: plastic flow warms elements while bodies come to rest
+DISSIPATION = 0.25  # numerical dissipation of particle and target together; a higher one needs a warning
+LENGTH = 1e-6  # m: unit of distances, because open3d computes in single precision
 STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
     "numerical_target", "contact", "friction", "boundary", "bodies", "bond",
@@ -71,8 +71,8 @@ def enclosed_volume(points: Array, triangles: NDArray[np.int64]) -> float:
 
 
 def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.99, levels: int = 1000) -> float:
-    """Distance (m) of two horizontal planes with this share of a closed body between them, half of the rest beyond each, over what it
-    is of a sphere of diameter 1: 0.9172 for 0.99. The volume is the sum of the areas of horizontal sections."""
+    """Distance (m) of two horizontal planes with this share of a closed body between them and half of the rest beyond each, over the
+    same distance for a sphere of diameter 1: 0.9172 for 0.99. The volume is the sum of the areas of horizontal sections."""
     corners = points[triangles]
     edges = np.linspace(corners[..., 2].min(), corners[..., 2].max(), levels + 1)
     area = np.zeros(levels)
@@ -83,7 +83,7 @@ def thickness_of(points: Array, triangles: NDArray[np.int64], share: float = 0.9
         part = (z - crossed[..., 2]) / (there[..., 2] - crossed[..., 2] + 1e-300)
         place = crossed[..., :2] + part[..., None] * (there - crossed)[..., :2]
         up, down = (crossed[..., 2] <= z) & (there[..., 2] > z), (crossed[..., 2] > z) & (there[..., 2] <= z)
-        p, q = place[up], place[down]  # one of each in a triangle: from p to q the section goes round the body
+        p, q = place[up], place[down]  # one p and one q in each triangle: the segments p q go round the body
         area[n] = 0.5 * float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum())
     below = np.concatenate([[0.0], np.cumsum(area)])
     low, high = np.interp([0.5 * (1.0 - share), 0.5 * (1.0 + share)], below / below[-1], edges)
@@ -161,7 +161,7 @@ def thermoelastic_bound(metal: Material, states: list[tuple[Array, Array]], volu
 
 def heat(metal: Material, T_0: Array, T: Array, varies: bool) -> Array:
     """(n,) J/kg from T_0 to T (n,) K: Simpson's rule over c_p(T), which is linear between two temperatures, or constant."""
-    (low, first), (high, last) = metal.cp[0], metal.cp[-1]  # the same of a metal with one value
+    (low, first), (high, last) = metal.cp[0], metal.cp[-1]  # both are equal for a metal with one value
     if not varies:
         return first * (T - T_0)
     cp = [np.interp(t, (low, high), (first, last)) for t in (T_0, 0.5 * (T_0 + T), T)]
@@ -181,10 +181,10 @@ def value(record: Mapping[str, Any], name: str) -> Any:
 
 
 def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
-    """Energy (J) of the springs that go on as a half-space: traction 4 G u / R along the normal of a facet, 2 G u / R within it.
+    """Energy (J) of the springs that replace the half-space beyond a face: traction 4 G u / R normal to a facet, 2 G u / R within it.
 
-    R: from the axis of the substrate at its surface (docs/theory/target.md). untouched: the target before the first impact; its nodes
-    on these faces are now those that lie nearest.
+    R: distance of the facet from the middle of the surface of the substrate (docs/theory/target.md). untouched: the target before the
+    first impact. The displacement u of its nodes on these faces is that to the nearest node of `target`.
     """
     substrate, x = scene.substrate, untouched.points
     faces = boundary_faces(untouched.cells)
@@ -214,7 +214,7 @@ def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
 
 @dataclass
 class Findings:
-    """faults: in words; figures: the worst of each kind over all impacts; undecided, warned: as the run says itself."""
+    """faults: texts; figures: the worst of each kind over all impacts; undecided, warned: texts of the run itself."""
 
     faults: list[str] = field(default_factory=list)
     figures: dict[str, float] = field(default_factory=dict)
@@ -227,7 +227,7 @@ class Findings:
             self.faults.append(text)
 
     def hold(self, name: str, number: float, limit: float, text: str) -> None:
-        """Keep the largest figure of a kind; a fault where it is not within the limit."""
+        """Keep the largest figure of a kind, and note a fault if a number is not within the limit."""
         self.figures[name] = max(self.figures.get(name, 0.0), abs(float(number)))
         self.fault(not abs(number) <= limit, f"{text}: {number:.3g}, allowed {limit:.3g}")
 
@@ -257,7 +257,7 @@ def check(result: Result) -> Findings:
     n, last = len(impacts), len(scene.particles)
     complete = n == len(records) == len(np.unique(history["impact"])) and (n == last or found.undecided is not None)
     found.fault(not complete, f"fields of {n} impacts, records of {len(records)}, {last} particles")
-    if found.faults:  # the rest would be about numbers that are none
+    if found.faults:  # the other checks need valid numbers
         return found
     untouched = instants[0]["target"]
     for i, own in enumerate(impacts):
@@ -280,7 +280,7 @@ def bodies_of(scene: Scene, target: Fields) -> list[tuple[Material, float]]:
 
 
 def splat_volumes(scene: Scene, target: Fields, volume: Array, joins: list[dict[str, Any]]) -> dict[int, float]:
-    """Volume of each splat in a target, over that of its mass: what the reports of joining say has left is subtracted.
+    """Volume of each splat in a target over that of its mass, without the mass that it has lost (reports of joining).
 
     volume (m,) m3, of the target's elements.
     """
@@ -295,7 +295,7 @@ def splat_volumes(scene: Scene, target: Fields, volume: Array, joins: list[dict[
 
 
 def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
-    """The bodies after the closing stage: at ambient, within the yield stress, of their mass."""
+    """Check the bodies after the closing stage: temperature, stress against the yield stress, volume against the mass of splats."""
     f = result.fields(-1, COLD)
     volume, body = tetrahedra_volumes(f.points, f.cells), f.data["body"].astype(int)
     for name, data in {"points": f.points, **f.data}.items():
@@ -315,7 +315,7 @@ def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
 
 
 def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
-    """The instants of each impact: it begins where all points of a particle have one velocity again."""
+    """The instants of each impact. An impact begins when all points of the particle have the same velocity again."""
     impacts: list[list[Instant]] = []
     flying = False
     for instant in instants:
@@ -329,8 +329,8 @@ def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
 
 
 class _ImpactCheck:
-    """One impact. rows: of its history; record: of the summary; untouched: the target before the first; joins: reports of what has
-    joined before; mass kg, energy J: of the particle at the start."""
+    """Checks of one impact. rows: its part of the history; record: its part of the summary; untouched: the target before the first
+    impact; joins: reports of the splats that have joined before; mass kg, energy J: of the particle at the start."""
 
     def __init__(
         self, found: Findings, scene: Scene, i: int, instants: list[Instant], rows: dict[str, Array], record: Mapping[str, Any],
@@ -387,7 +387,7 @@ class _ImpactCheck:
             between = float(impulses[1].max())  # a peak of the force may lie between two rows
             outside = max(low - between - taken, taken - high - between, 0.0) / (self.mass * self.p.velocity)
             self.hold("impulse", outside, IMPULSE, "impulse of the contact force")
-        # where the run says that its surface does not follow the points, the points count
+        # if the summary has no thickness, the surface does not follow the points, and the points count
         name = "particle" if value(self.record, "thickness_m") is None else "surface"
         depth = depths(self.last[name].points, target.points, target.cells) / self.scene.derived.spacing
         self.found.figures["depth"] = max(self.found.figures.get("depth", 0.0), float(depth.max()))
@@ -411,8 +411,8 @@ class _ImpactCheck:
             self.hold("joined", ratio - 1.0, JOINED, f"volume of splat {k} against its mass")
         for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
-            # of the change of volume that the pressure makes, m3, at the first and the last instant. Pressures are means over the
-            # corners of an element, which have the volume of all elements around: those at the start, for they are of its J
+            # bounds of the change of volume (m3) due to the pressure, at the first and the last instant. Both use the volumes at the
+            # start. The pressure of an element is the mean over its corners, and so over the elements around them
             bounds, changed = [], 0.0
             for f in (self.first, self.last):
                 data = f["target"].data
@@ -460,7 +460,7 @@ class _ImpactCheck:
             self.hold(kind, share, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
 
     def heat(self) -> None:
-        """Rise of temperature against plastic work, dissipation, friction (also of bodies) and torn bonds: conduction moves it."""
+        """Check the heat of all bodies (conduction moves heat) against plastic work, dissipation, friction and torn bonds."""
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
         stored = 0.0  # by the impacts before
@@ -475,7 +475,7 @@ class _ImpactCheck:
         low, high = (self.metal.taylor_quinney * work[0] + share * work[1] for share in (min(shares), max(shares)))
         if not self.effects.plastic_heating:
             low = high = 0.0
-        if self.effects.friction_heat:  # of bonds only what tears becomes heat
+        if self.effects.friction_heat:  # only the work of torn bonds becomes heat
             high += work[2] + sum(max(float(self.rows[name][-1]), 0.0) for name in ("bond", "bodies"))
         if self.effects.dissipation_heat:
             high += max(float(self.rows["numerical_particle"][-1] + self.rows["numerical_target"][-1]), 0.0)
@@ -506,7 +506,7 @@ class _ImpactCheck:
                 before[name] = strain
 
     def measures(self) -> None:
-        """The record of the summary against the fields at the end; None is no number."""
+        """Check the record of the summary against the fields at the end; a measure that is None is not checked."""
         points, cells = self.last["particle"].data, self.last["target"].data
         surface = self.last["surface"]
         thickness = thickness_of(surface.points, surface.cells)

@@ -76,7 +76,7 @@ def frame(path: str) -> Iterator[None]:
 
 
 async def tried(action: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of an action in a thread; an error that a user can mend is shown, and the result is None."""
+    """The result of an action in a thread; an error that a user can correct is shown, and the result is None."""
     try:
         return await run.io_bound(action, *arguments)
     except (ColdsprayError, OSError) as error:
@@ -159,7 +159,7 @@ def _answer(seen: Preview, name: str) -> None:
                     with ui.column().classes("gap-0"):
                         ui.label(line.label).classes("text-sm opacity-80")
                         ui.label(line.formula or line.computed).classes("text-lg leading-tight")
-                        ui.label(f"trust {line.colour}: {line.why}").classes("text-xs opacity-60")
+                        ui.label(f"trust mark {line.colour}: {line.why}").classes("text-xs opacity-60")
     if seen.lines:
         ui.label(seen.lines).classes("whitespace-pre-wrap")
     if seen.drawn:

@@ -21,7 +21,7 @@ from .workspace import Workspace
 
 HOST = "127.0.0.1"
 REFUSED = "Open the address that `coldspray app` has printed: it ends in ?token=..."
-# A page of results may run its own scripts, but not speak to the server as the reader does
+# A page of results may run its own scripts, but not send requests to the server in the name of the user
 SANDBOX = {"content-security-policy": "sandbox allow-scripts allow-downloads allow-popups"}
 ALWAYS = {"referrer-policy": "same-origin", "x-content-type-options": "nosniff"}
 Scope = dict[str, Any]
@@ -86,7 +86,7 @@ def serve(workspace: Workspace, port: int, show: bool) -> None:
     print(f"coldspray on {workspace.root}: {address}", flush=True)
     print("Ctrl-C stops the page; its runs continue", flush=True)
     with TemporaryDirectory(prefix=".open_", dir=workspace.root) as private:
-        # the arguments of a browser are visible to all users of the machine: it gets a file that leads to the address
+        # arguments of a process are visible to all users of the machine: the browser gets a file, which opens the address
         leads = Path(private) / "open.html"
         leads.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
         if show:

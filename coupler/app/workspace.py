@@ -22,12 +22,12 @@ from ..files.result import Result
 from ..report.words import title, verdict
 from ..studies.pace import Pace
 
-LOG, PID = "app.log", "app.pid"  # in a folder of results: what its process prints, and the process
+LOG, PID = "app.log", "app.pid"  # in a results folder: what its process prints, and the number of the process
 KINDS = RUN, JOB = "run", "job"  # as folders are marked
 COATING = "coating"  # a run of several impacts
 RUNNING, QUEUED, STOPPED = "running", "queued", "stopped"  # states of a folder
 FINISHED, UNDECIDED, DAMAGED = "finished", "undecided", "damaged"
-RECENT = 60.0  # s: a run without a process of the page that has written since is computed elsewhere
+RECENT = 60.0  # s: a run that has changed within this time, but has no process of the page, is computed elsewhere
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", re.ASCII)
 _OF_FILES = re.compile(r"library|.+\.(files?|sizes|distribution|efficiency)")  # keys whose value may be a path
 
@@ -76,7 +76,7 @@ class Workspace:
     def outside(self, text: str) -> list[str]:
         """Return a problem for each file outside the workspace that a scene or job names. text: TOML text of the scene or job."""
         problems = []
-        with suppress(ValueError):  # told by its reader
+        with suppress(ValueError):  # its reader reports this error
             for key, value in leaves(parse_toml(text)):
                 if _OF_FILES.fullmatch(key) and isinstance(value, str):
                     try:
@@ -204,7 +204,7 @@ class Workspace:
 
 
 def _is_ours(folder: Path) -> bool:
-    # a folder that cannot be entered is none, and no error, as with Path.is_file
+    # False for a folder without permission, where Path.is_file raises an error
     return not folder.is_symlink() and (kind_of(folder) in KINDS or os.path.isfile(folder / LOG))
 
 

@@ -69,7 +69,7 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
             found = [text for text in found if text.split()[0] in values] or found
             if not found:
                 metal, law = catalogue[name], catalogue[name].strength
-                stress = f"flow stress {metal.flow_stress(0.2, 1e3, 300.0) / 1e6:.0f} MPa at 0.2 and 1e3 1/s"
+                stress = f"flow stress {metal.flow_stress(0.2, 1e3, 300.0) / 1e6:.0f} MPa at strain 0.2, 1e3 1/s, 300 K"
                 elastic = f"E {metal.E / 1e9:.4g} GPa, melting {metal.T_m:g} K"
                 constants = f"A {law['A'] / 1e6:g} MPa, B {law['B'] / 1e6:g} MPa, {elastic}, {stress}"
                 lines.append(f"{metal.name}: {constants}" + (f"; {remark}" if remark else ""))

@@ -53,12 +53,12 @@ def main(argv: list[str] | None = None) -> int:
             return 2
         arguments = parser.parse_args(words)
         arguments.words = words
-        # the signals act as Ctrl-C: the runs of a study end with it
+        # the signals act as Ctrl-C: the runs of a study end, too
         with bounded_memory(), interrupted_by(signal.SIGTERM, signal.SIGHUP):
             code = arguments.command(arguments)
         sys.stdout.flush()
         return code
-    except SystemExit:  # of argparse, which has printed
+    except SystemExit:  # from argparse, which has printed its message
         if not _flush():
             return 2
         raise
@@ -141,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "print the plan and the cost of a scene without computing it"
     option = options.add_command(commands, "check", _check, text)
     options.add_scene(option)
-    text = "print for each effect why it is on or off, and what changes without it"
+    text = "print also why each effect is on or off, and the sources of the material data"
     option("-v", "--verbose", action="store_true", help=text)
     option("--recalibrate", action="store_true", help="measure the speed of this machine again")
     option = options.add_command(commands, "run", _run, "compute a scene")
@@ -194,7 +194,7 @@ def _add_running(option: Option) -> None:
     option("-v", "--verbose", action="store_true", help=text)
     option("--threads", type=options.at_least_one, metavar="N",
            help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
-    options.add_jobs(option, "number of impacts computed at the same time, on shared threads; `check` prints them")
+    options.add_jobs(option, "number of simultaneous impacts, on shared threads; `check` prints the largest number")
     option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints, s (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="in a scene with several impacts, leave out an impact that fails")
@@ -260,7 +260,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
-    """Execute `work`, a run or its resumption; shows the progress and print the results. Returns the exit code."""
+    """Execute `work`, a run or its continuation; show the progress and print the results. Returns the exit code."""
     from ..files import checkpoint
     from ..files.store import SUMMARY
     from ..progress import Progress

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     with working("interpolating and drawing"):
         lines = map_figures.draw(rows, out, arguments.show, axes)
     print("\n".join(lines))
-    # the table last: once it exists, the pictures do
+    # the table is written last: if it exists, all pictures exist
     runs_table.write_table(rows, out / "map.csv", f"{MARK} map; SI units", axes)
     print(f"table in {out / 'map.csv'}")
     return 0

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 METHODS = ("auto", "carried", "density")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
-_MOST_SPACING = 1e-3  # m: more is a file in another unit
+_MOST_SPACING = 1e-3  # m: a larger spacing means that the file has another unit
 _MEMORY_EACH = 3000.0  # bytes for each point: 2000 measured from 5000 to 40 000 points, at the default size
 _SI = {"T": "K", "energy": "J", "volume": "m3"}
-_SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's order, xx yy zz xy yz xz
-_SWAP_BACK = [0, 1, 2, 5, 3, 4]
+_SWAP = [0, 1, 2, 4, 5, 3]  # stress from the order of VTK, xx yy zz xy yz xz, to that of `Cloud`, xx yy zz yz xz xy
+_SWAP_BACK = [0, 1, 2, 5, 3, 4]  # the inverse
 
 
 def add(commands: Commands) -> None:
@@ -269,5 +269,5 @@ def _show(cloud: "Cloud", splat: "Splat", notes: list[str]) -> None:
             table.add_row(name, text)
     console = Console()
     console.print(table)
-    for note in [*(f"failed before: {f}" for f in r["failed"]), *notes]:
+    for note in [*(f"this method failed: {f}" for f in r["failed"]), *notes]:
         console.print(note, markup=False, highlight=False)

@@ -106,7 +106,7 @@ def nozzles(arguments: argparse.Namespace) -> int:
 
 
 def schema(arguments: argparse.Namespace) -> int:
-    """Print the JSON schema of a scene, or writes it to a file. Returns the exit code."""
+    """Print the JSON schema of a scene, or write it to a file. Returns the exit code."""
     text = _schema(arguments.of)
     if arguments.out is None:
         print(text, end="")

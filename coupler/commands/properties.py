@@ -35,7 +35,7 @@ def add(commands: Commands) -> None:
     option("--side", type=options.quantity("--side", "length"), metavar="L",
            help="horizontal edge length of the block (default: the square in the disc that `coating` measures)")  # fmt: skip
     option("--heights", type=options.quantity("--heights", "length"), nargs=2, metavar=("LOW", "HIGH"),
-           help="lowest and highest z of the block (default: above 99 %% of the substrate, below 90 %% of the surface)")  # fmt: skip
+           help="lowest, highest z of the block (default: above 99 %% of the substrate, below 90 %% of the coating's top)")  # fmt: skip
     option("--conductance", type=options.quantity("--conductance", "heat transfer"), metavar="H",
            help='thermal conductance of facets that touch without a bond, such as "5e7 W/(m2 K)" (default: 1.5e7'
            ' and 5.5e8)')  # fmt: skip
@@ -110,7 +110,7 @@ def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Itera
         yield "warning: bonds of this run never break: plastic flow between the pores limits the strengths"
     if strip is not None:
         yield (
-            f"strip of {1e3 * strip['thickness_m']:.3g} mm with {1e6 * strip['coating_m']:.0f} um of coating, sprayed with"
+            f"strip of {1e3 * strip['thickness_m']:.3g} mm, coating {1e6 * strip['coating_m']:.0f} um, initial stress"
             f" {1e-6 * strip['arriving_Pa']:+.0f} MPa: curvature {strip['deposited_1_m']:+.3g} 1/m by deposition,"
             f" {strip['misfit_1_m']:+.3g} 1/m by misfit; deflection {1e6 * strip['deflection_m']:+.1f} um over"
             f" {1e3 * strip['length_m']:.4g} mm (positive: the coated side is convex)"
@@ -121,7 +121,7 @@ def _head(name: str, of: "Properties") -> str:
     size = f"{1e6 * of.side_m:.0f} x {1e6 * of.side_m:.0f} x {1e6 * of.height_m:.0f} um"
     lines = [
         f"{name}: block of {size}, {of.splats:.0f} splats, {of.elements} elements; {of.solid:.1%} metal, {of.open_share:.0%} of"
-        f" its top open; {of.bonded:.0%} of the joints bonded; gaps counted as metal: {of.gap:.1%}",
+        f" its top above the coating; {of.bonded:.0%} of the joints bonded; gaps counted as metal: {of.gap:.1%}",
         *(f"warning: {text}" for text in of.warnings),
     ]
     return "\n".join(lines)

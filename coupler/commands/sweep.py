@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..studies.distribution import Spread
     from ..studies.sweep import Sweep
 
-_PLANNED = 20  # points whose plans represent all in the forecast
+_PLANNED = 20  # points whose planned times represent those of all points in the forecast
 _START = 2.0  # s: start of the process of a run
 OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
 

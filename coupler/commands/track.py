@@ -9,7 +9,7 @@ from .arguments import Commands, add_command, add_force, add_quiet, path, remake
 
 
 def add(commands: Commands) -> None:
-    text = "cross-section of one pass of the gun and of a raster; waviness over step"
+    text = "cross-section of one pass of the gun and of a raster; waviness against step"
     option = add_command(commands, "track", run, text)
     option("track", type=path, metavar="FILE", help="file of a track (TOML, coldspray new track NAME) or of a job")
     option("--out", type=path, metavar="DIR", help="folder of the files (default: runs/track-<name>)")
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     job = read(arguments.track, TrackData)
     out = arguments.out or Path("runs") / f"track-{job.name}"
     claim_folder(out, "track", study.FILES, [arguments.track], arguments.force)
-    with working("the powder at the target", arguments.quiet) as progress:
+    with working("computing the powder at the target", arguments.quiet) as progress:
         profiles, known = study.compute(job, arguments.track.parent, progress.stage)
     write_text(out / study.RECORD, json.dumps(known, indent=1) + "\n")
     study.write(profiles, known, out, f"{' + '.join(job.powders)}, {job.name}", f"{MARK} track; {remake(arguments)}")

@@ -13,17 +13,17 @@ from .arguments import Commands, add_command, add_force, path, seconds
 if TYPE_CHECKING:
     from ..files.result import Result
 
-SILENT = 60.0  # s without a new file, after which a run may be stopped
+SILENT = 60.0  # s without a change of its files, after which a run has possibly been stopped
 _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", "boundary", "bodies", "bond")
 
 
 def add(commands: Commands) -> None:
-    text = "show measures, energies and remaining time of a running run; writes nothing into its folder"
+    text = "show measures, energies and remaining time of a run in progress; writes nothing into its folder"
     option = add_command(commands, "watch", run, text)
     option("run", type=path, metavar="DIR", help="folder of a run")
     option("--every", type=seconds, default=5.0, metavar="SECONDS", help="time between two updates, s (default: 5)")
     option("--picture", type=path, metavar="FILE", help=".png file for the cross-section, updated at each stored step")
-    option("--once", action="store_true", help="read once")
+    option("--once", action="store_true", help="show the state once, then end")
     add_force(option)
 
 
@@ -95,7 +95,7 @@ def state(result: "Result") -> str:
     lines += [f"  {label:30} {value} {unit}" for label, value, unit in last_row(history)]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
-    parts = {}  # of a term in one column, or in a column for each domain
+    parts = {}  # energy of each term, from one column or from a column for each domain
     for name in _LEDGER:
         columns = [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
         parts[name] = sum(history[column][-1] for column in columns)

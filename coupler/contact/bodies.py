@@ -62,7 +62,7 @@ class BodyContact(BodyContactState):
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
         alike = [max(body, 1) for body in bodies]  # the stiffness does not change when later bodies join
         spacing = [surfaces.spacing(x, b) for b in alike]
-        k_of = [  # of each node two equilateral triangles
+        k_of = [  # a node has the area of two equilateral triangles
             stiffness(min(bulk_modulus[: b + 1]), 0.5 * np.sqrt(3.0) * h**2, h)
             for b, h in zip(alike, spacing, strict=True)
         ]
@@ -106,7 +106,7 @@ class BodyContact(BodyContactState):
         """
         moving = len(mass) if moving is None else moving
         if mass is not self._weighed or moving != self._moving:
-            # over all facets that a node can ever touch: a resumed run searches at other times
+            # includes all facets that a node can ever touch, because a resumed run searches at other times
             self._weighed, self._moving, self._stable_dt = mass, moving, np.inf
             for body, facing in enumerate(self._facing):
                 own, others = self.surfaces.nodes_of(body), self.surfaces.corners_of(facing)

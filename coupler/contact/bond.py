@@ -27,7 +27,7 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 class Bond:
     """Cohesive springs between nodes of one body and points on facets of another body.
 
-    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent: the
+    The traction is stiffness times opening up to the strength, then falls linearly until the fracture energy is dissipated: the
     envelope of Camanho & Davila (2002), NASA/TM-2002-211737, with a quadratic onset criterion and the linear mixed-mode law
     G_I/G_Ic + G_II/G_IIc = 1 at the end. Opening beyond the strength is permanent and dissipates; unloading has the initial
     stiffness. Damage never heals. The bond resists compression in full until it is broken or has slid by half a spacing
@@ -35,8 +35,8 @@ class Bond:
     the strength, and one of infinite energy flows at the strength.
 
     Arrays of n bonds: nodes (or points that are not nodes); triangles, weights: the point on a triangle to which each is bonded; gap
-    (m) without normal force; area (m2); stiffness (Pa/m); strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share of the
-    strength that remains after slip under contact pressure; loose (n,): mask of the bonds whose compression the contact resists;
+    (m): height without normal force; area (m2); stiffness (Pa/m); strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share
+    of the strength that remains after slip under contact pressure; loose (n,): mask of the bonds whose compression the contact resists;
     damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent slip; spent
     (J): dissipated energy; heated (J): part of it that has become heat of the bodies. stored, dissipated: energies of all bonds, J.
     """
@@ -63,7 +63,7 @@ class Bond:
     def __post_init__(self) -> None:
         with np.errstate(divide="ignore"):
             self._inverses = 1.0 / self.strength, 1.0 / self.energy
-        self._uncovered = np.full(len(self), -1.0)  # depth of a contact: no contact
+        self._uncovered = np.full(len(self), -1.0)  # argument `depth` of `bond_kernels.bond_forces`: no contact
         self._moved = np.zeros(0, np.int64)  # rows whose node `reduce_overlap` moves to its new facet
 
     @classmethod

@@ -30,7 +30,7 @@ from .model import (
 )
 
 LEAST_POINTS = 4000  # in a range of a shared loop
-JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
+JUMP = 0.2  # spacings: twice the motion in one step of a particle with a quarter of the speed of sound
 
 
 @dataclass
@@ -243,7 +243,7 @@ class Contact(ContactState):
         sheared[np.asarray(always, np.int64)] = True
         rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | sheared))
         self._set_candidates(due, start, face)
-        # faces near a point at rest can be missing here: the contact of a sub-domain ends at its rim
+        # points at rest are left out, because some of their faces can lie outside a sub-domain
         rows, still = self._moving(rows, active)
         lost = np.zeros((PARTS, 2))
         together(

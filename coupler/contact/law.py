@@ -5,7 +5,7 @@ The stable time step of the contact depends on this law: k is its largest stiffn
 
 from ..compiling import njit
 
-TANGENTIAL = 0.5  # stiffness of the spring of friction over that of the penalty
+TANGENTIAL = 0.5  # stiffness of the friction spring divided by that of the penalty spring
 
 
 @njit(cache=True, nogil=True, inline="always")

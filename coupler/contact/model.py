@@ -67,8 +67,8 @@ class Candidates(NamedTuple):
 class Projections(NamedTuple):
     """Closest-point projections of n points. Columns: the nearest body; a second body in which the point lies.
 
-    face (n,2): -1 for none; foot (n,2,3): barycentric coordinates; gap (n,2) m: signed distance, negative inside; at (n,3),
-    clearance (n,) m: at the last projection, position of the point, and gap plus travel of the faces."""
+    face (n,2): -1 for none; foot (n,2,3): barycentric coordinates; gap (n,2) m: signed distance, negative inside. Values at the last
+    projection: at (n,3) m: position of the point; clearance (n,) m: gap plus travel of the faces."""
 
     face: Ints
     foot: Floats

@@ -12,7 +12,7 @@ from .contact import Contact
 
 CONTACT_RANGE = 0.1  # spacings: a point closer to the surface than this, with a neighbour in contact, is in contact
 FEWEST = 3  # bonds: with fewer the particle can turn about a point or a line
-# ratio of the energy that bonds can absorb to the energy left to break them, or its inverse, above which the end is decided
+# if the energy that bonds can absorb is this multiple of the energy left to break them, or the reverse, the outcome is decided
 SECURE = 4.0
 
 
@@ -20,8 +20,8 @@ class ParticleBonds:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and points on facets of the target.
 
     The contact carries the pressure between them: all springs are loose (`Bond.loose`). A spring carries shear, and tension after the
-    contact has opened: the opening is zero while the net normal traction of the point and its neighbours is compressive. Springs fail
-    as bonds between bodies do.
+    contact has opened: the opening stays zero while the point is in contact, or is close to the target and has a neighbour in contact
+    (`bond_kernels.in_contact`). Springs fail as bonds between bodies do.
     """
 
     def __init__(self, bond: Bond, beside: csr_matrix):

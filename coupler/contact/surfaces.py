@@ -83,7 +83,7 @@ class Interface:
 
     nodes (n,); facet (n,): indices in `Surfaces`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m: signed
     distance to it; area (n,) m2: a third of the area of those own facets whose three nodes all lie on other bodies. own (p,2):
-    pairs (row, own facet) with these facets.
+    pairs of a row of these arrays and such an own facet of its node.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64)]

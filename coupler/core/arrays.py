@@ -42,7 +42,7 @@ class Links(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Links"]) -> "Links":
-        """One table of several, or of none."""
+        """One table with the rows of several tables; empty if there are none."""
         none = cls(np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0))
         return cls(*map(np.concatenate, zip(none, *parts, strict=True)))
 

@@ -33,7 +33,7 @@ class Team:
 
     def __init__(self, count: int):
         self.count = count
-        self._next: Ints = np.zeros(FAILED + 1, np.int64)  # the `team` of the work to come, see `loops.ranges`
+        self._next: Ints = np.zeros(FAILED + 1, np.int64)  # `team` of the next task, see `loops.ranges`
         self._begun = [SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]() for _ in range(count)]
         self._threads = [Thread(target=self._serve, args=(q, self._next), daemon=True) for q in self._begun]
         for thread in self._threads:

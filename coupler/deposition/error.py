@@ -122,7 +122,7 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
     """The error of each measure: {"half_width": error, SI; "order": order of the extrapolation; "coarser": values of the coarser
-    runs}. levels: the measures of an impact at each resolution, the finest first. Measures known at one resolution are left out."""
+    runs}. levels: the measures of an impact at each resolution, the finest first. Measures with only one known value are left out."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

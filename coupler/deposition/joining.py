@@ -25,9 +25,9 @@ from ..target.positions import displacement_back, means_of, near
 from .detaching import all_attached, release_time, without_detached
 from .pause import pause
 
-REST = 2.25  # radius about an impact point in which equilibrium is computed, over the radius of the sub-domain
+REST = 2.25  # radius about an impact point in which equilibrium is computed, divided by the radius of the sub-domain
 SHELLS = 8  # of the numbering within REST: a space-filling curve in each shell makes a step of the elements 25 % faster or more
-# greatest kinetic energy that joining a splat may release, over the kinetic energy of the impact
+# greatest kinetic energy that the joining of a splat may release, divided by the kinetic energy of the impact
 RELEASED_BOUND = 0.005
 
 

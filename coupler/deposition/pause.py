@@ -32,7 +32,7 @@ from .detaching import all_attached
 
 COOLER = 0.25  # K: a change of temperature that makes about 2 MPa; smaller changes need no new equilibrium
 AT_AMBIENT = 1.0  # K: greatest difference from ambient after the closing stage
-# Most repetitions in the closing stage. Plastic work warms by about 40 K in the first one, by less than AT_AMBIENT in the second.
+# Most repetitions in the closing stage. Plastic work warms elements by about 40 K in the first, by less than AT_AMBIENT in the second.
 COOLINGS = 8
 STEPS_OF_RECOVERY = 40  # in the closing stage; 80 steps change the remaining strain by 0.2 %
 _SOFTER = 0.01  # recovered share of the plastic strain, above which a new equilibrium is computed
@@ -57,7 +57,7 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     conducted = clock.perf_counter()
     softer = t.elements.eps_recovered - recovered > _SOFTER * t.elements.eps_p
     changed = t.mesh.reach_element[(np.abs(t.elements.T - before) > COOLER) | softer]
-    beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # a shell of the numbering has one distance: all of it
+    beyond = np.nextafter(changed.max(initial=0.0), np.inf)  # to the end of a shell: its elements have one distance
     radius, known = max(radius, float(beyond)), Known()
     report: Values = {"balance_steps": _balance(bodies, kinetic_0, radius, known), **cooling}
     report |= _settled(bodies, kinetic_0, radius, known)

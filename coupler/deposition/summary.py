@@ -110,7 +110,7 @@ def _efficiency(impacts: Sequence[Values]) -> Values:
 
 
 def unsettled(report: Values) -> list[str]:
-    """Warnings of a report (of a joining with its pause, or the closing stage) without equilibrium or ambient temperature."""
+    """Warnings if bodies have not reached equilibrium or ambient temperature. report: of a joining and its pause, or of the closing."""
     if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
         return [f"the bodies cool only to within {off:.0f} K of ambient, because plastic work heats them"]
     pause = report.get("cooling", {})

@@ -27,7 +27,7 @@ from .joining import join
 # files beside the folders of tasks; running tasks check them after each chunk of steps
 STOP = "stop"  # the tasks stop
 SPARE = "spare"  # number of threads for each task, greater when cores are idle
-SPRINGS = 2.5  # time step that the springs of contact must allow, over the sufficient step of a particle (ENOUGH)
+SPRINGS = 2.5  # time step with which contact springs must be stable, divided by the step that is enough for a particle (ENOUGH)
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,8 @@ def run_alone(
 
 
 def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
-    """Prepare bodies at rest for impact i, against the growth of the cost with the number of impacts. place: impact point, m, from
-    which the bodies are numbered outwards. Returns entries of the report.
+    """Prepare bodies at rest for impact i, so that its cost does not grow with the number of earlier impacts. place: impact point, m,
+    from which the bodies are numbered outwards. Returns entries of the report.
 
     A few strongly deformed elements of splats would determine the time step of all later impacts: inertia is added to their
     deformation (`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact

@@ -1,5 +1,5 @@
-"""Kinematics and nodal forces of tetrahedra, in blocks of elements that lie side by side in memory: loops without branches or
-scattered memory compile to vector instructions.
+"""Kinematics and nodal forces of tetrahedra, in blocks of elements whose values lie side by side in memory: loops without branches
+and without scattered access to memory compile to vector instructions.
 
 This module does not depend on the effects of the law: numba compiles it once for all choices of effects. `kinematics` and
 `nodal_forces` must be inlined into the function that allocates w: only there the compiler sees that the rows of w do not overlap.
@@ -17,8 +17,8 @@ from ..geometry.matrix_kernels import ROUNDING
 from ..physics.constitutive import von_mises_squared
 from .model import Cells, Elements, Nodes
 
-BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
-CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root to 3 % (Kahan, as in fdlibm's cbrt)
+BLOCK = 32  # elements in a block: their values fit into the first-level cache
+CUBE_ROOT = 0x2A9F7893782DA1CE  # plus a third of the bits of a float: bits of its cube root, to 3 % (Kahan, as in fdlibm's cbrt)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -25,14 +25,14 @@ from .blocks import edge_cofactors
 from .explicit import Target
 
 FREQUENCY = 0.7  # omega dt of the displacements of the grid: adds an eighth to the bound on omega^2, 4 / dt^2
-# Approximate number of nodes in a box, and of boxes. With 1500 boxes an equilibrium of 92,000 nodes takes a sixth fewer steps but
-# the same time, because a single thread solves for the grid.
+# Approximate number of nodes in a box, and largest number of boxes. With 1500 boxes an equilibrium of 92,000 nodes takes a sixth
+# fewer steps but the same time, because a single thread solves for the grid.
 NODES, MOST = 100, 350
 MOST_ACROSS = 20  # boxes in one direction, at most
 CORNERS = 8  # of a box
 RANGES = 16  # of the loop over points of the grid, at most
-LEAST = 1e-4  # of the nodes' masses, in the mass of motions that nothing resists
-ALONE = 1e-9  # of the largest mass, for points of the grid that no free node depends on
+LEAST = 1e-4  # the small number e above
+ALONE = 1e-9  # mass of points of the grid on which no free node depends, divided by the largest mass
 
 
 @njit(cache=True, nogil=True)

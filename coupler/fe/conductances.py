@@ -18,7 +18,7 @@ from .blocks import edge_cofactors
 from .heat import LEAST
 from .model import Cells, Metals
 
-# of a link of perfect contact, over that of an element of the size of its area: 0.01 takes 1.5 times as many iterations
+# resistance of a perfect contact, divided by that of a cube whose faces have its area: 0.01 takes 1.5 times as many iterations
 LINK_RESISTANCE = 0.03
 FIRST, SECOND = np.triu_indices(4, 1)  # corners of the six pairs of four nodes
 PAIR = np.array([[0, 0, 1, 2], [0, 0, 3, 4], [1, 3, 0, 5], [2, 4, 5, 0]])  # number of the pair of two corners
@@ -52,7 +52,7 @@ class Conductances:
         """Conductances of elements c with nodes at x (n,3) m, of links between bodies, and from the gas."""
         n, m, d = len(x), len(c.conn), links.weights
         conn = links.ends.astype(np.int32)
-        between = -d[:, FIRST] * d[:, SECOND] * links.strength[:, None]  # of the conductance strength d d^T
+        between = -d[:, FIRST] * d[:, SECOND] * links.strength[:, None]  # off-diagonal entries of -strength d d^T
         of_elements = Conductors(c.conn, np.empty((m, 6)), c.start, c.table, np.empty((4 * m, 4), np.int16))
         of_links = Conductors(conn, between, *around(conn, n), np.empty((4 * len(conn), 4), np.int16))
         share(lambda lo, hi: _between_corners(lo, hi, x, c.conn, of_elements.w), m, LEAST)

@@ -23,7 +23,7 @@ from .model import Elements
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 # ratio of steps: 1.5 reduces the error of temperatures after a pause by a fifth, with 1.6 times the steps
 STEP_GROWTH = 2.0
-FIRST_STEP = 0.1  # first step over the shortest time constant of an element
+FIRST_STEP = 0.1  # first step divided by the shortest time constant of an element
 # of the linear solver: an error of a millikelvin after a pause; 1e-4 takes an eighth more iterations
 CG_TOLERANCE = 3e-4
 

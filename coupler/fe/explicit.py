@@ -1,6 +1,6 @@
 """The explicit finite-element target: central differences on tetrahedra with averaged nodal pressure.
 
-The step has the form of LAMMPS (half kick, drift, forces, half kick). It is divided at n+1, where contact is computed for both domains:
+The step is that of LAMMPS (half of the velocity update, positions, forces, other half), divided at n+1 for the contact of both domains:
 
     target.advance(dt)          v at n+1/2, x at n+1, stress and internal forces at n+1
     target.f_ext[...] += ...    contact forces at n+1
@@ -32,7 +32,7 @@ from .window import UNDISTURBED, Edge, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
-AHEAD = 1.5  # speed of the front of active elements over the speed of sound
+AHEAD = 1.5  # speed of the front of active elements divided by the speed of sound
 LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 
@@ -43,7 +43,7 @@ class TargetState:
     force_suffix_sum (n+1,3) N: row i is the sum of the nodal forces of nodes i and above when they became inactive; drag (d,3) N:
     forces of the dashpots; support (3,) N: external force; dt_last (s); reach (m): distance of the front of active elements; horizon
     (m): radius of the window; least_mass (kg): see `weigh_surface`; active_nodes, active_elements: numbers of computed nodes and
-    elements; edge: elastic edge of the window; rest_scale: contraction of the half-space around the target.
+    elements; edge: elastic edge of the window; rest_scale: factor by which the half-space has contracted.
     """
 
     nodes: NodeState
@@ -122,7 +122,7 @@ class Target(TargetState):
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
         if track_wave:
             self.reach = 16.0 * edge  # numerical waves run a little ahead of physical ones
-        #: (m+1,): for each number of elements, the first ones, the number of nodes up to their last node
+        #: (m+1,): entry i is the number of nodes up to the last node of the first i elements
         self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
 
@@ -157,7 +157,7 @@ class Target(TargetState):
         self.least_mass = 0.0
         self._weigh()
         surface, before = self.mass[occurring(self.mesh.facets, len(self.mass))], float(self.mass.sum())
-        # `step_for` with steps equal to the root of the masses
+        # with steps equal to the roots of the masses, `step_for` returns the root of the least mass that `most` allows
         self.least_mass = min(least, step_for(surface, np.sqrt(surface), most, np.inf) ** 2)
         self._weigh()
         return float(self.mass.sum()) - before

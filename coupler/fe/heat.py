@@ -2,7 +2,7 @@
 
 The target stores temperatures in elements, where plastic work heats them; conduction needs temperatures at nodes. Nodes conduct as
 linear tetrahedra with lumped capacities in the current configuration. A rise of temperature in elements raises each node by the
-mean of the elements around it, weighted with heat capacities. Conduction returns *increments* to the elements: each gets the mean
+mean rise of the elements around it, weighted with heat capacities. Conduction returns *increments* to the elements: each gets the mean
 increment of its nodes. Therefore an element without heat flow keeps its temperature, and heat is conserved to rounding for any k(T)
 and c_p(T). The excess of an element over the mean of its nodes flows into the nodes at the rate k tr(sum b b^T) / (rho c_p).
 
@@ -26,7 +26,7 @@ from .blocks import edge_cofactors
 from .mesh import FiniteElements
 from .model import Cells, Elements, Metals
 
-EVERY = 10  # mechanical steps per step of conduction: about the stable step of conduction in copper, far less than it in steel
+EVERY = 10  # mechanical steps per step of conduction: about the stable step of conduction in copper, far below that in steel
 LEAST = 4000  # elements or nodes in a range of a loop that threads share
 
 

@@ -20,7 +20,7 @@ from .model import Active, Cells, Elements, Metals, Nodes, Viscosity
 
 LEAST_ELEMENTS, LEAST_NODES = 250, 400  # in a range of a loop that threads share
 SHAPE_LIMIT = 0.5
-THIN = 2.0  # largest length of the bulk viscosity over the distance of a wave in the stable step of the element
+THIN = 2.0  # largest length in the bulk viscosity, divided by the path of a wave in the stable step of the element
 SHAPE_STIFFNESS = 0.05
 
 
@@ -75,8 +75,8 @@ def element_forces(
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
     x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to
-    sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; heat receives the heat of the step that raises the
-    pressure. Returns the plastic work, the work of the bulk viscosity and this heat, J.
+    sigma_y. fe receives the forces on the nodes, -V0 P B with P = J sigma F^-T; `heat` receives that part of the step's heat which
+    raises the pressure. Returns the plastic work, the work of the bulk viscosity and this heat, J.
 
     The laws are records specialised for FLOW (`constitutive.specialised`), or plain records. Only the plastic flow depends on the
     effects of the law: this function computes it element by element, without fast arithmetic, so that its numbers are the same to
@@ -121,7 +121,7 @@ def element_forces(
                 heat[e] = warm
             for k in range(6):
                 a.s[e, k] = S[k, i]
-            # bulk viscosity, linear and quadratic in the rate of compression over the length of the element
+            # bulk viscosity, with a linear and a quadratic term in rate of compression times length of the element
             if div[i] < 0.0:
                 speed = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
                 length = min(b.length[i], THIN * speed * dt_of[e])

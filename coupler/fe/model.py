@@ -10,8 +10,8 @@ from .state import ElementState, NodeState
 
 
 class Cells(NamedTuple):
-    """conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) and V0_node (n,) m3: reference volumes;
-    start (n+1,), table (4m,): 4 e + corner of the elements around each node."""
+    """conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) and V0_node (n,) m3: reference volumes; start
+    (n+1,), table (4m,): table[start[a]:start[a + 1]] is 4 e + c for each element e around node a, which is its corner c (0 to 3)."""
 
     conn: Ints
     B: Floats
@@ -31,8 +31,8 @@ class Metals(NamedTuple):
 
 class Viscosity(NamedTuple):
     """Bulk viscosity: coefficients b1 of its linear and b2 of its quadratic part; dt_of (m,) s: safe bound of the step of each
-    element. The length of an element is the cube root of its volume, but at most THIN times the distance of a wave in this step: with
-    the first alone, a thin element is not stable at the step of the whole mesh."""
+    element. The length of an element is the cube root of its volume, but at most THIN times the path of a wave in the time dt_of:
+    without this limit, a thin element is not stable at the step of the whole mesh."""
 
     b1: float
     b2: float
@@ -40,7 +40,7 @@ class Viscosity(NamedTuple):
 
 
 class Active(NamedTuple):
-    """Numbers of nodes accelerated by the forces at step n, and of nodes and elements computed at step n+1."""
+    """kicked: number of nodes that the forces at n accelerate; nodes, elements: numbers of nodes and elements computed at n+1."""
 
     kicked: int
     nodes: int

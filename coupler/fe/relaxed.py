@@ -53,8 +53,8 @@ class Relaxation:
         self._damped = self.inv_mass.copy()
 
     def advance(self, damping: float) -> None:
-        """Make one step like `Target.advance`. damping: ratio to the critical damping of the step; forces are divided by 1 +
-        damping."""
+        """Make one step like `Target.advance`. damping: dt times the frequency (1/s) for which it is critical; forces are divided by
+        1 + damping."""
         t, n = self.target, self.target.active_nodes
         t.balance.impulse += self.dt * t.support
         np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])
@@ -71,7 +71,7 @@ class Relaxation:
     def rest(self) -> None:
         """Set all velocities to zero."""
         t = self.target
-        stopped = self.mass @ t.nodes.v  # by an external impulse
+        stopped = self.mass @ t.nodes.v  # momentum that an external impulse takes
         t.balance.impulse = t.balance.impulse + 0.5 * self.dt * t.support - stopped
         t.nodes.v[:], t.support = 0.0, np.zeros(3)
         t.rest()

@@ -27,7 +27,7 @@ from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces
 from .mesh import FiniteElements
 from .model import Cells, Metals
 
-PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
+PERTURBED_ELEMENTS = 12  # number of elements, those with the smallest bounds, whose nodes get a random motion
 
 
 class Response(NamedTuple):

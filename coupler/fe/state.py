@@ -28,9 +28,9 @@ class NodeState:
 
 @dataclass(frozen=True)
 class ElementState(MetalState):
-    """State of m elements. s (Pa): Cauchy stress deviator, Voigt order xx yy zz yz xz xy; rate (1/s): rate of eps_p; heat (J): heat
-    that is added to the nodes in the next step; volume (m3); sigma_y (Pa); fe (N): forces on the corners; element_number: as
-    node_number; thermal_stress (Pa, Voigt): part of the stress caused by changes of temperature at rest."""
+    """State of m elements. s (Pa): Cauchy stress deviator, Voigt order xx yy zz yz xz xy; rate (1/s): rate of eps_p; heat (J): part
+    of the heat that raises the pressure of the nodes in the next step; volume (m3); sigma_y (Pa); fe (N): forces on the corners;
+    element_number: as node_number; thermal_stress (Pa, Voigt): part of the stress caused by changes of temperature at rest."""
 
     s: Annotated[np.ndarray, Rows(6)]
     rate: Annotated[np.ndarray, Rows()]

@@ -12,7 +12,7 @@ from .boundary import add_matrices
 from .mesh import FiniteElements, TetMesh
 from .state import EdgeState
 
-NORMAL = 2.0  # stiffness of the edge along the radius over G / R
+NORMAL = 2.0  # stiffness of the edge in radial direction, divided by G / R
 UNDISTURBED = 0.9  # share of the radius within which the edge does not affect the target
 
 
@@ -50,7 +50,7 @@ class Edge(EdgeState):
         away = x[faces].mean(axis=1) - origin
         R = np.linalg.norm(away, axis=1)
         radial = away / R[:, None]
-        area = area * np.einsum("ij,ij->i", normal, radial)  # projected on the sphere: the edge is ragged
+        area = area * np.einsum("ij,ij->i", normal, radial)  # projected on the sphere: the edge is not smooth
         c_p, c_s = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"]), np.sqrt(law["G"] / law["rho"])
         matrices = np.zeros((2, n, 3, 3))
         add_matrices(faces, area, radial, NORMAL * law["G"] / R, 0.5 * NORMAL * law["G"] / R, matrices[0])

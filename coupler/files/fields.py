@@ -1,4 +1,4 @@
-"""Read the fields of a domain at one time from a VTKHDF file. A damaged file cannot open another one or fill memory."""
+"""Read the fields of a domain at one time from a VTKHDF file. A damaged file cannot make the program open others or fill memory."""
 
 import math
 from collections.abc import Iterator
@@ -105,7 +105,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
     count = int(np.ravel(attributes["NSteps"])[0])
     if count == 0:  # a run that ended before its first step
         return np.zeros(0)
-    # One that died at the wrong moment has counted a step and not yet given it a time.
+    # A run that was killed between two writes has counted a step, but has not stored its time.
     times = root.rows("Steps/Values")[: max(count, 0)].astype(np.float64)
     if times.ndim != 1 or not np.isfinite(times).all():
         raise ValueError("Steps/Values has a time that is not a finite number")
@@ -113,7 +113,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
-    """One stored step of a file. times: of all its steps. A name at points and in cells gets the values at points."""
+    """One stored step of a file. times: of all its steps. If points and cells have data of one name, those at points are used."""
     points, cells, point_data, cell_data = read_arrays(root, step)
     return Fields(float(times[step]), points, cells, cell_data | point_data)
 

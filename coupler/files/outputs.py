@@ -24,7 +24,7 @@ _ENDS = 8192  # bytes at both ends of a file that are searched for MARK
 
 
 def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
-    """Check, before its computation, that a command may write a file. Returns the path. suffixes: allowed endings, in lower case;
+    """Check, before the computation, that a command may write a file. Returns the path. suffixes: allowed endings, in lower case;
     inputs: files and run folders that the command reads, which are never replaced; force: replace a file that this program did not
     write. Raises StoreError."""
     if path.suffix.lower() not in suffixes:

@@ -176,7 +176,7 @@ class Store:
             write_text(self.directory / SUMMARY, json.dumps(json.loads(plain), indent=2) + "\n")
 
     def close(self) -> None:
-        """Close all files. Errors of this are ignored, because a failed write has already raised an error."""
+        """Close all files. Errors in closing are ignored, because a failed write has already raised an error."""
         self._close_files()
         if self._lock is not None:
             os.close(self._lock)

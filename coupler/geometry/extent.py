@@ -8,14 +8,14 @@ from ..compiling import njit
 from ..core.arrays import Floats, Ints
 from .vector_kernels import area_vector, dot
 
-#: Fraction of the volume within an extent. A jet has less than the rest of the volume.
+#: Fraction of the volume within an extent. The remaining fraction is larger than the volume of a jet.
 SHARE = 0.99
 #: Distance over diameter of two planes with this fraction of a sphere between them. Each cap has the volume fraction
 #: h^2 (3 R - h) / 4 R^3; the value is the root of this cubic, by cosines.
 OF_SPHERE = -2.0 * cos((acos(SHARE) + 4.0 * pi) / 3.0)
-CLOSE = 1e-10  # of the volume: tolerance of the volume below a plane
+CLOSE = 1e-10  # tolerance of the volume below a plane, over the whole volume
 UP = np.array([0.0, 0.0, 1.0])
-DIRECTIONS = 8  # of the widths, over half a turn
+DIRECTIONS = 8  # in which the width in the top view is measured, over 180 degrees
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -13,8 +13,8 @@ def connected_parts(pairs: NDArray, n: int) -> tuple[int, NDArray[np.int32]]:
 
 
 def around(cells: NDArray, n: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Where each of n points occurs in cells (m,k): start (n+1,) and places (m k,). Those of point i, ascending, are
-    places[start[i]:start[i + 1]]; a place is k cell + corner."""
+    """Where each of n points occurs in cells (m,k), as start (n+1,) and places (m k,). The place of corner j of cell c is k c + j. The
+    places of point i, ascending, are places[start[i]:start[i + 1]]."""
     m, k = cells.shape
     by_cell = csr_array((np.arange(m * k, dtype=np.int32), cells.ravel(), np.arange(0, m * k + 1, k)), shape=(m, n))
     by_point = by_cell.tocsc()

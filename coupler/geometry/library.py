@@ -18,8 +18,8 @@ class _Unused(ModuleType):
 
 
 def open3d() -> ModuleType:
-    """The module open3d without the parts UNUSED, which are not imported. It prints only errors. Raises DependencyError if it is
-    missing or incomplete, KeyboardInterrupt if the import is interrupted."""
+    """The module open3d without the parts UNUSED, which are not imported. open3d prints only errors. Raises DependencyError if
+    open3d is missing or incomplete, KeyboardInterrupt if the import is interrupted."""
     if "open3d" not in sys.modules:
         for name in UNUSED:
             sys.modules.setdefault(name, _Unused(name))

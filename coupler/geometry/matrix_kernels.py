@@ -7,7 +7,7 @@ from ..core.arrays import Floats, Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # options of fast arithmetic that change only the last bits and keep NaN
 ZERO = (0.0,) * 9
-LARGEST, SMALLEST = 0.0, 2.0 * pi / 3.0  # rad: which root of the characteristic equation, see `eigenvalue`
+LARGEST, SMALLEST = 0.0, 2.0 * pi / 3.0  # rad: angle that selects the root in `eigenvalue`
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
@@ -81,7 +81,7 @@ def transposed(a: Matrix) -> Matrix:
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def polar(F: Matrix) -> Matrix:
-    """Rotation of F to a few digits, without a start value: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
+    """Rotation R of the polar decomposition of F: 12 steps of Newton's iteration R <- (R + R^-T) / 2 from R = F (Higham 1986)."""
     R = F
     for _ in range(12):
         (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = inverse(R)

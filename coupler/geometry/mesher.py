@@ -41,8 +41,8 @@ def build(model: Callable[[ModuleType], None], algorithm: str = "HXT") -> tuple[
         _, nodes = gmsh.model.mesh.getElementsByType(4)
     finally:
         gmsh.finalize()
-        if threading.current_thread() is threading.main_thread():  # other threads may not set it
-            # Python's default; with gmsh's a broken pipe ends the process
+        if threading.current_thread() is threading.main_thread():  # Python allows no other thread to set a handler
+            # the default of Python; with the handler that gmsh sets, a broken pipe ends the process
             signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     if len(nodes) == 0:
         raise SolverError("gmsh made no tetrahedra: choose smaller elements or a larger substrate")
@@ -67,7 +67,7 @@ def cylinder(
     Element edges are `size` within refined_radius of a disc on z = 0, whose radius is `spread` and whose centre is `centre`.
     Outside they grow by `growth` per unit of distance up to sizes_to (default: a sixth of the smaller dimension). sector: angle, rad,
     of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0. top: heights (k,) m of
-    the top face at points (k,2) m, instead of 0: the surface of the flat cylinder is displaced along z, and filled again.
+    the top face at points (k,2) m, instead of 0: the surface of the flat cylinder is displaced along z, and its inside is meshed again.
     """
     unit = size  # gmsh has absolute tolerances for numbers near one
     most = (sizes_to or COARSEST * min(diameter, height)) / unit

@@ -13,8 +13,8 @@ NEAR = 32  # tetrahedra with the nearest centres; a point inside a mesh is in on
 AT_ONCE = 4096  # points in a block of `in_tets`: some 100 MB
 ROUNDING = 1e-9  # of a barycentric coordinate
 LEAST_KEPT = 0.9  # fraction of the points; if fewer would remain, the cloud is not cleaned
-BITS = 16  # of each coordinate in the key of `morton`
-# variance of the neighbours along their normal over the sum of variances: below it the points are a surface
+BITS = 16  # number of bits of each coordinate in the key of `morton`
+# variance of the neighbours along their normal over the sum of variances: if it is lower, the points are a surface
 FLAT = 0.015
 LONELY = 2.5  # spacings: a point whose nearest neighbour is farther away is not part of a body
 
@@ -93,7 +93,7 @@ def morton(x: NDArray) -> NDArray[np.uint64]:
 
 def points_near(tree: cKDTree, places: np.ndarray, reach: float, least: int, instead: int) -> csr_array:
     """Matrix (k,n) with the value 1 for each point of `tree` that lies within `reach` (m) of each of the places (k,3) m; columns are
-    ascending. If fewer than `least` points lie within reach, the `instead` nearest points have the value 1."""
+    ascending. If fewer than `least` points lie within reach of a place, the `instead` points nearest to it have the value 1."""
     found = cKDTree(places).sparse_distance_matrix(tree, reach, output_type="coo_matrix")
     few = np.bincount(found.row, minlength=len(places)) < least
     instead = min(instead, tree.n)

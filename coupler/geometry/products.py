@@ -8,8 +8,8 @@ from ..core.arrays import Arrays, Floats, Ints
 from ..core.loops import PARTS, ranges
 from ..core.threads import share, together
 
-LEAST = 2000  # rows in a range, at least
-LEAST_ROWS = 50  # of those with two products
+LEAST = 2000  # least number of rows in a range of a shared loop
+LEAST_ROWS = 50  # the same in `combine_both`, which computes two products for each row
 
 
 def times(A: csr_matrix | csr_array, x: np.ndarray) -> np.ndarray:

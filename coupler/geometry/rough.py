@@ -10,9 +10,9 @@ import numpy as np
 
 from ..core.arrays import Floats
 
-WAVES = 256  # in the field: the heights are normal to 1 % of their standard deviation
-SAMPLES = 64  # across the disc, for mean and Sa
-SEEN = 15  # places on each side of a sphere at which the surface under it is sampled, on 1.5 radii
+WAVES = 256  # plane waves in the field: the distribution of the heights is normal to 1 % of their standard deviation
+SAMPLES = 64  # points across the disc from which mean and Sa are computed
+SEEN = 15  # samples of the surface on each side of the centre of a sphere, along x and y, over 1.5 radii
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class Ground:
     """Heights (m) of a surface, the sum of its parts.
 
     profiles: each the angle (rad) of its axis from x, and its corners (s, z) m with s along this axis, ascending; heights are linear
-    between the corners and constant outside. grid: heights (m) in rows along x, from the smallest x and y on; pitch m: of the grid,
-    whose middle is the axis.
+    between the corners and constant outside. grid: heights (m) in rows along x, from the smallest x and y on; pitch m: distance of
+    its points; the middle of the grid is on the axis.
     """
 
     profiles: tuple[tuple[float, tuple[tuple[float, float], ...]], ...] = ()
@@ -56,7 +56,7 @@ def normal_under(
     """Upward unit normal of a surface where a sphere first touches it.
 
     heights: heights (k,) m at points (k,2) m; at (x, y) m, radius (m), velocity (m/s): centre, size and motion of the sphere; gap (m):
-    vertical distance from the surface at the start. Slopes are central differences over two tenths of the radius.
+    vertical distance of the sphere from the surface at the start. Slopes are central differences over 0.2 radii.
     """
     step = 1.5 * radius / SEEN
     side = step * np.arange(-SEEN, SEEN + 1)

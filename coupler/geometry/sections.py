@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 def section_of_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Section of tetrahedra with a plane of constant y: polygons (q,4,2) and their tetrahedra (q,).
 
-    points (n,3), tets (m,4). A corner of a polygon is on an edge, given by its two points. Corners are in order round the polygon; a
-    triangle has its last corner twice.
+    points (n,3), tets (m,4). A corner of a polygon lies on an edge of a tetrahedron, and is given by the two points of this edge.
+    Corners are in order round the polygon; a triangle has its last corner twice.
     """
     side = points[tets, 1] >= y
     above = side.sum(axis=1)

@@ -32,15 +32,15 @@ class Solid:
 def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     """The solid inside a surface of points (n,3), in any unit, and triangles (m,3).
 
-    Coincident corners are merged; double and empty triangles and fragments are removed; triangles are oriented outwards; a fine surface
-    is decimated to MOST_TRIANGLES. A closed surface inside another is a pore. Raises SplatError if the surface bounds no solid, or more
-    than one.
+    Coincident corners are merged; duplicate triangles, triangles without area and fragments are removed; triangles are oriented
+    outwards; a fine surface is decimated to MOST_TRIANGLES. A closed surface inside another is a pore. Raises SplatError if the surface
+    bounds no solid, or more than one.
     """
     mesh = _mesh(points, triangles)
     mesh.merge_close_vertices(100.0 * SAME_PLACE)
     mesh.remove_degenerate_triangles()
     corners = np.asarray(mesh.triangles)
-    # a double may have the opposite orientation
+    # two triangles with the same corners are duplicates, even with opposite orientations
     _, once = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
     mesh.remove_triangles_by_index(np.setdiff1d(np.arange(len(corners)), once).tolist())
     label, _, area = (np.asarray(values) for values in mesh.cluster_connected_triangles())

@@ -84,7 +84,7 @@ def shells(surface: Surface, smallest: float = 0.0) -> list[Surface]:
 
 
 def together(parts: Sequence[Surface]) -> Surface:
-    """One surface of several, or one mesh of several of tetrahedra (m,4)."""
+    """The surfaces, or meshes of tetrahedra (m,4), `parts` joined to one; their points are not merged."""
     first = np.cumsum([0, *(len(points) for points, _ in parts)])
     triangles = np.concatenate([own + start for (_, own), start in zip(parts, first, strict=False)])
     return np.concatenate([points for points, _ in parts]), triangles

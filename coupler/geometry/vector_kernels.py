@@ -13,7 +13,7 @@ def cross(u: Vector, v: Vector) -> Vector:
 
 @njit(cache=True, nogil=True, inline="always")
 def area_vector(A: Floats, B: Floats, C: Floats) -> Vector:
-    """(B - A) x (C - A): twice the area of a triangle along its outward normal."""
+    """(B - A) x (C - A): vector along the normal of a triangle, by the right-hand rule, whose length is twice the area."""
     u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
     v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
     return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0

@@ -166,7 +166,7 @@ def build_domains(
     k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
     points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
     own, other = impact_plan.material.effusivity(impact_plan.temperature), t.materials[-1].effusivity(t.temperature)
-    share = own / (own + other)  # share of the heat of friction, as for two half-spaces in contact
+    share = own / (own + other)  # share of the particle in the heat of friction, as for two half-spaces in contact
     contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
     inside = None
     if plan.effects.particle_conduction:

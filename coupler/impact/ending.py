@@ -7,12 +7,12 @@ from typing import Literal
 Grip = Literal["free", "failing", "held", "secure", "embedded"]
 STILL = 0.005  # of the impact speed: a particle on earlier splats with a smaller downward speed is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as having no force
-QUIET_TIME = 0.1  # of D / v: time of silence at the end
+QUIET_TIME = 0.1  # of D / v: time without contact force at the end
 # A bonded particle oscillates: it is at rest after its speed has been below HELD_STILL of the impact speed for HELD_TIME of D / v,
 # about one period.
 HELD_STILL, HELD_TIME = 0.02, 0.5
 SPENT = 0.01  # of the energy of the impact: a tied particle is at rest if it would dissipate less than this in the next D / v
-# of the impact speed: a particle without contact and with a smaller downward speed has less than 5 % of its energy left to land
+# of the impact speed: at a smaller downward speed the downward motion has less than 5 % of the kinetic energy of the impact
 GLANCING = math.sqrt(0.05)
 
 
@@ -47,7 +47,7 @@ class EndCriterion(EndState):
 
     Greatest deformation: the centre of mass stops sinking; or its downward speed falls below `slow`; or it falls below GLANCING of
     the impact speed and the contact has had no force for `held_quiet` s (the particle has glanced off the flank of a splat). End of
-    the impact: for "rest", when it has `settled`; for "greatest", then; for "time", at end_time, which limits the others too. A
+    the impact: for "rest", when it has `settled`; for "greatest", at that time; for "time", at end_time, which limits the others too. A
     particle that has slid over the rim of the target has left it: no criterion is met.
     """
 

@@ -70,7 +70,7 @@ def measure(domains: Domains, level: float) -> dict[str, float]:
     points."""
     particle, target, surface = domains.particle, domains.target, domains.surface
     rho = particle.law["rho"]
-    matter = particle.mass * (rho[0] / rho[particle.law_of])  # with the density of the surface everywhere
+    matter = particle.mass * (rho[0] / rho[particle.law_of])  # mass with the density of the first material
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]
     m = shape_measures(skin, surface.triangles, domains.own.diameter)

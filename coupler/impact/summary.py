@@ -17,10 +17,10 @@ from .recorder import Recorder
 from .retry import Retry
 from .verdict import verdict_values
 
-# in addition to the measures at the end
+# values that are None without a verdict, and for an undecided impact, in addition to the measures at the end
 _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
-INSIDE_ITSELF = 0.002  # share of the points: below it they are single points outside the surface near an edge
+INSIDE_ITSELF = 0.002  # share of points inside another part of the particle: fewer are single points near an edge
 STUCK = "the particle sticks"  # reason for no rebound velocity
 # share of the points above the tensile limit at which a ceramic particle is broken: below it they are single points at its contact
 BROKEN_SHARE = 0.01

@@ -84,9 +84,9 @@ def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
     if kept.rate > metal.fitted_rate:
         parts.append(f"strain rate {kept.rate:.1e} 1/s (99th percentile; fitted up to {metal.fitted_rate:.0e})")
     if fitted.temperature and T > fitted.temperature[1]:
-        parts.append(f"{T:.0f} K (fitted up to {fitted.temperature[1]:.0f} K)")
+        parts.append(f"temperature {T:.0f} K (fitted up to {fitted.temperature[1]:.0f} K)")
     elif kept.melting > NEAR_MELTING:
-        parts.append(f"{kept.melting:.2f} of the melting point (valid up to {NEAR_MELTING:g})")
+        parts.append(f"temperature {kept.melting:.2f} of the melting point (valid up to {NEAR_MELTING:g})")
     if fitted.strain and kept.strain > fitted.strain:
         parts.append(f"strain {kept.strain:.2g} (99th percentile; fitted up to {fitted.strain:g})")
     return [f"{body} ({metal.name}, {metal.strength.set or metal.strength.law}) {', '.join(parts)}"] if parts else []

@@ -1,5 +1,5 @@
-"""Kinematics, residuals and side forces of the enriched scheme, in blocks of points that lie side by side in memory: loops without
-branches or scattered memory compile to vector instructions.
+"""Kinematics, residuals and side forces of the enriched scheme, in blocks of points whose values lie side by side in memory: loops
+without branches and without scattered access to memory compile to vector instructions.
 
 As in `fe.blocks`, all functions must be inlined into the function that allocates w: only there the compiler sees that its rows do not
 overlap. Without vector instructions pass 1 takes 1.2 times as long. The letters are those of `particle.compiled_kernels` and
@@ -30,7 +30,7 @@ from ..geometry.vector_kernels import apart, dot, vector_of
 from .compiled_kernels import FAR, NEAR, SWEEPS, TURNED, cayley, correction, trial
 from .model import Deformation, Motion, Sides, State
 
-BLOCK = 8  # points laid out side by side: their numbers fit the first-level cache
+BLOCK = 8  # points in a block: their values fit into the first-level cache
 MOST_SIDES = 18  # largest number of neighbours: the two nearest layers of a face-centred cubic lattice
 # Rows of a side: X_j - X_i (m); x_j - x_i, then e (m), then side_force (N); e_p (m); g (1/m); w (1/m5)
 DX, DU, EP, G, W = 0, 3, 6, 9, 12
@@ -207,7 +207,7 @@ def residuals(most: int, b: Block) -> None:
 @_inlined
 def forces(most: int, V: float, across: float, b: Block) -> None:
     """Plastic residuals after the radial return, and side_force = stiffness w R e - Q g. V (m3): volume of a point;
-    across: stiffness of a residual over the shear modulus."""
+    across: stiffness of a residual divided by the shear modulus."""
     for i in range(BLOCK):
         R, c, stiffness = nine(b.R, i), -V * b.J[i], V * across * b.shear[i] / b.span[i] * b.back[i]
         t = 0.5 * stiffness / c  # a skew stress that balances the moment of the residuals

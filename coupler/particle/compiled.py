@@ -2,8 +2,8 @@
 
 LAMMPS stores and distributes the points; their motion is integrated here, in all threads. Neighbours are those of the reference
 configuration: lists are made once. With several ranks LAMMPS provides positions and velocities of neighbours on other ranks;
-between the passes the ranks exchange what depends on the state of one point, with fixed lists. No sum depends on the division of the
-points.
+between the passes the ranks exchange forces of sides, and deformation gradients for hourglass control, with fixed lists. Each sum
+over neighbours has the same order for any division of the points among ranks.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,13 +40,13 @@ class CompiledPoints(PointState):
 
 
 class CompiledParticle(Particle):
-    """Deformation, stress and internal forces by compiled passes within the step of LAMMPS (`pair_style zero`)."""
+    """Deformation, stress and internal forces by compiled passes within the step of LAMMPS (`pair_style none`)."""
 
     PAIR = "pair_compiled.lmp"
     POINTS: ClassVar[type[PointState]] = CompiledPoints
     points: CompiledPoints
     _passes: ClassVar[ModuleType] = k
-    _kinds: ClassVar[int] = 2  # of losses (`model.Losses`)
+    _kinds: ClassVar[int] = 2  # number of rows in `model.Losses.strength`
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -201,13 +201,13 @@ class CompiledParticle(Particle):
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         super().restore(state, first)
-        # the first rank has the sums of all points, and the others zero: so the sums over ranks continue
+        # the first rank gets the sums of all points, the others zero: the total over all ranks is then right
         work = [state.points.work[self._whole_law_of == i].sum() for i in range(1, len(self.law)) if first]
         self._plastic[1:] = self.volume_of_point * np.array(work or 0.0)
         self._plastic[0] = self.sums[0] - self._plastic[1:].sum()
 
     def _skip_step(self) -> None:
-        """Exchange the data that pass 2 of other ranks needs, in a step without pass 2 on this rank."""
+        """Exchange the data that pass 2 needs. After a failure here the other ranks still need them in each step."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.effective[:, None])
         self._swap(self._side_sends, self._side_receives, self._side_force)

@@ -32,12 +32,12 @@ from .model import Control, Deformation, Losses, Motion, Scheme, Sides, State
 LEAST_POINTS = 100  # in a range of a loop that threads share
 SWEEPS = 30  # of the iteration for a rotation, at most
 TURNED = 1e-14  # rad: with a smaller correction the rotation is exact to rounding
-NEAR = 1e-8  # rad: after a smaller correction the rotation is exact to rounding: the next one would be about its square
+NEAR = 1e-8  # rad: after a smaller correction the rotation is exact to rounding, because the next correction is about its square
 FAR = 0.3  # rad: for a larger first correction the iteration restarts from Newton's polar decomposition
 J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
 PLASTIC = 1e-3  # effective plastic strain of LAMMPS above which MACHDYN's hourglass control is viscous
 LEAST_ERROR = 0.05  # smallest hourglass error in the viscous control
-SLOW = 0.01  # largest closing velocity in the viscosity, over the wave speed
+SLOW = 0.01  # limit of the closing velocity in the viscosity, divided by the wave speed
 
 
 _inlined = njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING, error_model="numpy")
@@ -220,7 +220,7 @@ def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) ->
 
 @_inlined
 def lost(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> float:
-    """The share of side k, one half, in the work of the force of its pair, dt (f_n + f_n+1) / 2 . v_n+1/2. before, now: `exchanged`."""
+    """Half (J) of the work of a pair force in the step, dt (f_n + f_n+1) / 2 . v_n+1/2, for its side k. before, now: `exchanged`."""
     work = 0.25 * dt * (losses.strength[kind, k] * before + strength * now)
     losses.strength[kind, k] = strength
     return work

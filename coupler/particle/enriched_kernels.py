@@ -23,7 +23,7 @@ from .compiled_kernels import (
 )  # fmt: skip
 from .model import Deformation, Losses, Motion, Residuals, Scheme, Sides, State
 
-ACROSS = 10.0 / 9.0  # stiffness of a residual over G: mean over directions of 1 across a pair and 4/3 along it
+ACROSS = 10.0 / 9.0  # stiffness of a residual divided by G: mean of 1, 1 (two directions across a pair), 4/3 (along it)
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
@@ -34,7 +34,7 @@ def stress_points(
     """As `compiled_kernels.stress_points`, but with residuals. The strain increment follows from U at n and n+1, not from v.
 
     Deviator and residuals form one yield condition and return to it by one factor. The forces of the sides are those of the
-    residuals and of the stress, with the term that balances the residuals. `particle.blocks` computes all but the plastic flow.
+    residuals, the stress, and a skew stress against the moment of the residuals. `particle.blocks` computes all but the plastic flow.
     """
     failed = -1
     w = np.zeros((ROWS, BLOCK))

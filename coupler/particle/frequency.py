@@ -24,7 +24,7 @@ from .model import Sides
 FIRST, NEXT = 40, 4  # iterations from a random vector, and from the vector of the last chunk of steps
 LEAST_POINTS = 2000  # in a range of a shared loop
 STIRRED = 0.3  # share of random motion in the first vector
-GRID = 128.0  # steps are powers of 2^(1 / GRID): so they do not depend on the last bits of sums over ranks
+GRID = 128.0  # steps are rounded down to powers of 2^(1 / GRID): then the last bits of sums over ranks have no effect on them
 
 
 class Small(NamedTuple):

@@ -2,14 +2,14 @@
 
 Gradients in the reference configuration, g = G T, are moving least squares over the neighbours. They are exact for linear fields,
 also at the free surface; so is the deformation gradient F = G x. Conduction in the deformed body is conduction in the reference
-body with the conductivity k J F^-1 F^-T. The heat flow into the points is minus the derivative of
+body with the conductivity k J F^-1 F^-T. The heat flow into the points is minus the derivative, by the temperatures T, of
 
     sum V g . (k J F^-1 F^-T) g / 2  +  sum c (R T)^2 / 2.
 
-The second term damps fields that alternate from point to point, for which the first term is zero. R T is the temperature of a point
-less its estimate from the neighbours and their gradient. It is zero for a linear field, so that its contribution falls with the
-square of the spacing. Both terms are sums of squares: conduction conserves heat to rounding and only reduces differences of
-temperature. The surface is adiabatic. Symmetric tensors D, kD: xx yy zz yz xz xy.
+The second term (c: SMOOTHING) damps fields that alternate from point to point, for which the first one is zero. R T is the
+temperature of a point less its estimate from the neighbours and their gradient. It is zero for a linear field, so that its
+contribution falls with the square of the spacing. Both terms are sums of squares: conduction conserves heat to rounding and only
+reduces differences of temperature. The surface is adiabatic. Symmetric tensors D, kD: xx yy zz yz xz xy.
 """
 
 from math import ceil, sqrt
@@ -32,7 +32,7 @@ LEAST = 11  # smallest number of points in the fit of a gradient, including the 
 LEAST_POINTS = 200  # in a range of a loop that threads share
 SUPPORT = 1.6  # spacings: the 12 nearest and 6 second neighbours of a face-centred cubic lattice (nearest at 1.12)
 SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2
-LEAST_J = 0.1  # volume ratio: a smaller one is an error of the gradient
+LEAST_J = 0.1  # smallest volume ratio; smaller values are errors of the gradient and replaced by this one
 
 
 class Operators(NamedTuple):
@@ -114,7 +114,7 @@ def fit(team: Ints, n: int, spacing: float, X: Floats, G: Operators, reach: Floa
                 f = w[s, 3] * d[0], w[s, 3] * d[1], w[s, 3] * d[2]
                 A, total, m0, m1, m2 = add_outer(A, f, d), total + w[s, 3], m0 + f[0], m1 + f[1], m2 + f[2]
             B, _ = inverse(A)
-            g0, g1, g2 = applied(B, -m0, -m1, -m2)  # of the point itself
+            g0, g1, g2 = applied(B, -m0, -m1, -m2)  # weights of the point itself
             for s in range(G.start[i], G.start[i + 1]):
                 is_own, c, d = G.columns[s] == i, w[s, 3], apart(X, i, G.columns[s])
                 a = (g0, g1, g2) if is_own else applied(B, c * d[0], c * d[1], c * d[2])
@@ -157,7 +157,7 @@ def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
     """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures T, in all threads. Write the
-    largest flow for temperature differences of 1 K to q, and from it an upper bound on the fastest rate of decay in each part
+    largest flow for temperatures between -1 and 1 K to q, and from this flow an upper bound on the fastest rate of decay in each part
     (Gershgorin, with absolute values of the operators) to rates (PARTS,) 1/s."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)

@@ -1,14 +1,14 @@
 """Added inertia for the cells that limit the time step: selective mass scaling that changes only one mode of each cell.
 
-The cell of a crushed point has the fastest mode of the particle: an oscillation of its volume, with a frequency far above those of
-interest. Such a cell gets an inertia c against the rate of its volume,
+The cell of a point is the point with its neighbours. That of a crushed point has the fastest mode of the particle: its volume
+oscillates, with a frequency far above those of interest. Such a cell gets an inertia c against the rate of its volume,
 
     M = m 1 + sum c_i b_i b_i^T,   b_i v = d ln J_i / dt = sum_j (v_j - v_i) . F_i^-T g_ij
 
 so that only changes of this volume are slower. A rigid motion, rotation included, changes no volume: linear and angular momentum
 are conserved (Olovsson, Simonsson & Unosson 2005, Int. J. Numer. Meth. Engng 63, 1436, for elements). With the stiffness of the
 cell, k = V J (K J + 4 G / 3), the inertia c = STIFFER k (T / 2)^2 - m / b^2 makes it stable with the step T; c is at least 0.
-Accelerations need a linear system of the few scaled cells only: m a = f - B^T (C^-1 + B m^-1 B^T)^-1 B m^-1 f.
+Only the few scaled cells need a linear system: m a = f - B^T (C^-1 + B m^-1 B^T)^-1 B m^-1 f, rows b_i of B, c_i on the diagonal of C.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,8 @@ from ..physics.constitutive import bulk_stiffness
 from .law import LEAST_POINTS
 from .model import Sides
 
-ENOUGH = 0.25  # spacings over wave speed: cells with a longer safe step do not limit the particle
-STIFFER = 2.0  # factor for neighbouring cells, which together have a higher frequency than a single cell
+ENOUGH = 0.25  # safe step of a cell times wave speed / spacing: cells with a longer step do not limit the particle
+STIFFER = 2.0  # factor on the stiffness of a cell: neighbouring cells together have a higher frequency
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -58,8 +58,8 @@ class CellInertia:
         self, laws: tuple[Laws, Ints], volume: float, step: float, sides: Sides, numbers: np.ndarray, gather: Callable[..., list[Any]],
     ):  # fmt: skip
         """laws: LAW records, and number (total,) of the law of each point of the whole particle; volume (m3): volume of each point;
-        step (s): limit 2 / omega that all cells shall reach; numbers (N,): numbers of the points of this rank, the n own ones first,
-        in the whole particle; gather(values): values of all ranks."""
+        step (s): limit 2 / omega that all cells shall reach; numbers (N,): indices in the whole particle of the points of this rank,
+        then of the copies of neighbours; gather(values): list of the values of all ranks."""
         (self._laws, law_of), self._scale = laws, STIFFER * volume * (0.5 * step) ** 2
         mass = volume * self._laws["rho"][law_of]
         self._mass, self._total = float(mass.min()), len(law_of)

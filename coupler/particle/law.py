@@ -4,8 +4,8 @@ energy.
 MACHDYN's own Johnson-Cook law has no thermal softening and averages the strain rate over some 500 ns. Its linear plastic strength
 model with zero offset returns the deviator to H eff_plastic_strain: with sigma_y / H in eff_plastic_strain before a step, the yield
 stress is sigma_y, and the increase in the step is the increment of plastic strain. Its shock equation of state gives the mean
-stress -p_H + rho Gamma e: heat has the wrong sign, and the Hugoniot term is too stiff. The energy e in esph is chosen so that this
-sum equals -p of `coupler.physics.constitutive`. Both lag by one step.
+stress -p_H + rho Gamma e: heat has the wrong sign, and the Hugoniot pressure p_H is too stiff. The energy e in esph is chosen so that
+this sum equals -p of `coupler.physics.constitutive`. Yield stress and energy lag by one step.
 """
 
 import numpy as np
@@ -48,8 +48,8 @@ def apply_law(
     """Read the result of MACHDYN's step, update the state of every point, and prescribe the next step.
 
     laws: one LAW record; dt (s); H (Pa); volume (n,) m3. Arrays of MACHDYN (n,): mass (kg); eps, e (J) and de (W): plastic strain,
-    energy and its rate, which prescribe the next step; set_e (J/kg): energy prescribed for this step; a.stress: stress of LAMMPS,
-    only read. sums (2,) J grows by the plastic work and by the part of its heat that raises pressure.
+    energy and its rate, which prescribe the next step; set_e (J/kg): energy prescribed for this step, then for the next; a.stress:
+    stress of LAMMPS, only read. sums[:2] (J) grow by the plastic work and by the part of its heat that raises the pressure.
     """
     law = laws[0]
     for i in range(len(volume)):
@@ -99,8 +99,8 @@ def add_up(
     """Write sums over points, part by part, to sums (PARTS,6): kinetic energy and stored energy, J; momentum, kg m/s; square of the
     largest speed, m2/s2.
 
-    Stored energy: energy of deviators, J V s:s / 4G, and of the volume, including heat. Kinetic energy: sum of m v(n-1/2).v(n+1/2) /
-    2, whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
+    Stored energy: of deviators, J V s:s / 4G, and of volume changes, with the part due to heat. Kinetic energy: sum of m v(n-1/2).
+    v(n+1/2) / 2, whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
     """
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):
         kinetic = stored = x = y = z = fastest = 0.0

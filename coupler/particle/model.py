@@ -1,10 +1,10 @@
-"""Arrays of a particle, as arguments of its kernels. n: number of points of this rank; N: number of these points and of copies of
-neighbours on other ranks.
+"""Arrays of a particle, as arguments of its kernels. n: number of points of this rank; N: n plus the number of copies of points on
+other ranks that are neighbours of these points.
 
-The letters are those of the equations in `particle.compiled_kernels`. A side is one point of a pair with the other as its
-neighbour: each pair has two sides. The force on point i by point j is
-side_force_ij - side_force_ji plus the forces along x_j - x_i. side_force (s,3) N has the sides of this rank, then those of other ranks;
-each depends on the state of one point only. SI units.
+The letters are those of the equations in `particle.compiled_kernels`. A side ij is a point i together with one neighbour j: each
+pair of neighbours has two sides, ij and ji. The force on point i by point j is side_force_ij - side_force_ji plus the forces along
+x_j - x_i. side_force (s,3) N has a row for each side of the points of this rank, then for the sides that it gets from other ranks;
+the row ij depends on the state of point i only. SI units.
 """
 
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from ..core.arrays import Floats, Ints
 
 
 class Scheme(NamedTuple):
-    """Constants of the scheme. V (m3): volume of each point; h (m): radius of the kernel; H (Pa): modulus of the linear hardening by
-    which LAMMPS stores the yield stress; Q1, Q2, hourglass: coefficients of MACHDYN."""
+    """Constants of the scheme. V (m3): volume of each point; h (m): distance at which the kernel is zero; H (Pa): hardening modulus:
+    LAMMPS stores the yield stress as the plastic strain sigma_y / H; Q1, Q2, hourglass: coefficients of MACHDYN."""
 
     V: float
     h: float
@@ -25,11 +25,11 @@ class Scheme(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] of the arrays (sides,); first (n+1,).
+    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] - 1 of the arrays (sides,); first (n+1,).
 
-    neighbour: number of the neighbour; reverse: row of the other side of the pair, sides of other ranks after the own ones; w (1/m5):
-    W'/r; gradient (sides,3) 1/m: g. For the mean of both materials: slope (kg/m): factor W' m^2 / rho of MACHDYN's forces; c (m/s):
-    longitudinal wave speed.
+    neighbour: index of the neighbour; reverse: row of the other side of the pair in side_force; w (1/m5): W'/r; gradient (sides,3)
+    1/m: g. From the mean properties of the two points: slope (kg/m): factor W' m^2 / rho of MACHDYN's forces; c (m/s): longitudinal
+    wave speed.
     """
 
     first: Ints
@@ -42,8 +42,8 @@ class Sides(NamedTuple):
 
 
 class Control(NamedTuple):
-    """What MACHDYN's hourglass control knows of the sides (sides,): distance r0 (m) and W (1/m3) in the reference configuration, and
-    Young's modulus E (Pa), the mean of both materials."""
+    """Data of each side for MACHDYN's hourglass control, (sides,): distance r0 (m) and kernel W (1/m3) in the reference configuration,
+    and Young's modulus E (Pa), the mean of both points."""
 
     r0: Floats
     W: Floats
@@ -61,7 +61,7 @@ class Motion(NamedTuple):
 
 class Deformation(NamedTuple):
     """Deformation gradients F (N,9) and their rotations R (n,9), row by row; effective (N,): sigma_y / H plus the plastic strain of the
-    step, which selects MACHDYN's hourglass control."""
+    step; hourglass control is viscous if it is large, else elastic."""
 
     F: Floats
     R: Floats
@@ -69,9 +69,9 @@ class Deformation(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of the law at n points. law_of (n,): number of the law of each point; sigma_y (Pa); eps_p; rate (1/s); T (K); J; p (Pa);
-    energy and plastic work (J per reference m3); stress (n,6) Pa: unrotated Cauchy stress in the order of LAMMPS, xx xy xz yy yz zz;
-    eps_gradient (n,3) 1/m."""
+    """State of the law at n points. law_of (n,): index of the law of each point; sigma_y (Pa): yield stress; eps_p, rate (1/s):
+    plastic strain and its rate; T (K); J: volume ratio; p (Pa): pressure; energy, work (J per reference m3): work is plastic; stress
+    (n,6) Pa: unrotated Cauchy stress, in the order xx xy xz yy yz zz of LAMMPS; eps_gradient (n,3) 1/m: gradient of plastic strain."""
 
     law_of: Ints
     stress: Floats
@@ -96,7 +96,7 @@ class Losses(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Residuals of sides. plastic (sides,3) m: e_p; unseen (n,) J/m3: elastic energy."""
+    """Residuals of the sides. plastic (sides,3) m: plastic part e_p of each; unseen (n,) J/m3: their elastic energy at each point."""
 
     plastic: Floats
     unseen: Floats

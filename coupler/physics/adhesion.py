@@ -22,9 +22,9 @@ EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that extrudes metal through a crack
 CONSTRAINT = (2.0 + math.pi) / math.sqrt(3.0)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
 REFERENCE, EXPONENT = 25e-6, -0.18  # diameter of the particles of the formula, m; exponent of the diameter
-# stiffness of the springs of a bonded particle over the bulk modulus of the softer metal per spacing, as in the contact
+# stiffness (Pa/m) of the springs of a bonded particle, in units of the bulk modulus of the softer metal over the spacing of the points
 PARTICLE_BOND_STIFFNESS = 1.0
-NEVER = 1.0 - 1e-9  # surface exposure that no surface reaches: of a ceramic
+NEVER = 1.0 - 1e-9  # surface exposure at which bonds to a ceramic would form: no surface reaches it
 
 
 def critical_velocity(material: Material, temperature: float, diameter: float = REFERENCE) -> float:
@@ -126,8 +126,8 @@ def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray
     Metal flows through the cracks at a pressure above p_E. Only a fraction of the opposite surface is clean metal (`ligament_bonds`).
     clean: c (n,), `clean_share`, the smaller value of the two surfaces; pressure: p (n,) Pa; strength: sigma_0 (n,) Pa, flow stress of
     the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: the strength grows with surface exposure and
-    normal pressure; the linear form is quoted second-hand. p_E is the lower bound of plasticity, plane strain yield below a crack
-    without traction; Bay's value is from slip lines.
+    normal pressure; the linear form is quoted second-hand. p_E is a lower bound of plasticity theory: yield in plane strain below a
+    crack without traction; Bay's value is from slip-line theory.
     """
     return clean * np.clip(pressure / np.maximum(strength, 1.0) - EXTRUSION, 0.0, 1.0)  # molten metal has no strength
 

@@ -143,7 +143,7 @@ def heated(law: Law, T: float, q: float) -> float:
     return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
 
 
-# without these options numba compiles a function as its first caller: with or without fast arithmetic
+# without these options, numba compiles a function with the options of its first caller, which may be those of fast arithmetic
 _precise = njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
 _johnson_cook = _precise(strength.johnson_cook)
 _zerilli_armstrong = _precise(strength.zerilli_armstrong)
@@ -298,7 +298,7 @@ def von_mises_squared(sxx: float, syy: float, szz: float, syz: float, sxz: float
     return 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
 
 
-LEAST = 4000  # tensors in a range of a shared loop
+LEAST = 4000  # least number of tensors in a range of a shared loop
 
 
 def von_mises(stress: NDArray) -> NDArray[np.float64]:

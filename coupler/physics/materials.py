@@ -179,8 +179,8 @@ class Material:
 
 
 def mixed(shell: Material, core: Material, share: float) -> Material:
-    """The shell's material with the mean density and specific heat of a composite particle, for its flight. share: volume fraction of
-    the core."""
+    """The material of the shell, but with the mean density and specific heat of a composite particle, for the flight of this particle.
+    share: volume fraction of the core."""
     rho = (1.0 - share) * shell.rho + share * core.rho
     by_mass = share * core.rho / rho
     ends = [T for table in (shell.cp, core.cp) for T, _ in table]
@@ -188,7 +188,7 @@ def mixed(shell: Material, core: Material, share: float) -> Material:
     return replace(shell, rho=rho, cp=cp)
 
 
-#: The numbers of a material, and the default values, by field. E and nu: elastic constants of handbooks.
+#: By field: the numbers of a material, the default values, and other keys of a table (E and nu instead of G and c0).
 _HINTS = {name: get_args(hint)[1:] for name, hint in get_type_hints(Material, include_extras=True).items()}
 LIMITS: dict[str, Number] = {name: extra[0] for name, extra in _HINTS.items() if extra and isinstance(extra[0], Number)}
 DEFAULTS = {f.name: f.default for f in fields(Material) if f.default is not MISSING}
@@ -251,7 +251,7 @@ def material(name: str, strength: str = "") -> Material:
 
 
 def fitted_at(metal: Material, rate: float) -> list[str]:
-    """Names of the library's strength sets of a metal whose fitted range includes a strain rate (1/s)."""
+    """Names of the library's strength sets of a metal whose fitted rates reach up to a strain rate (1/s)."""
     known = _library().get(metal.name)
     ranges = {other.strength.set: other.strength.fitted.rate for other in known.materials} if known else {}
     return [name for name, limits in ranges.items() if limits and limits[1] >= rate]

@@ -13,9 +13,9 @@ UNKNOWN: Any = None  # value of a field that a cloud of points does not have
 @dataclass(frozen=True, kw_only=True)
 class MetalState:
     """State of n points or elements. eps_p: equivalent plastic strain that hardens the metal; eps_recovered: plastic strain removed
-    by recovery (`physics.recovery`); T (K): temperature; eps_gradient (1/m): gradient of eps_p (in an impact in the unrotated frame),
-    zero in metals that gradients do not harden. A new field in this class is stored, restored, meshed, joined and renumbered without
-    other changes."""
+    by recovery (`physics.recovery`); T (K): temperature; eps_gradient (1/m): gradient of eps_p (during an impact: in the unrotated
+    frame), zero in metals that gradients do not harden. If a field is added to this class, the program stores, restores, meshes, joins
+    and renumbers it without other changes of the code."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN

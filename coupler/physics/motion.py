@@ -38,7 +38,7 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 @njit(cache=True, nogil=True)
 def book(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats) -> float:
-    """Return the work (J) of the rows as `work_of`. Then copy f to f_old, add `more` to f, and set `more` to zero."""
+    """Return the work (J) of the rows as `work_of`. Then copy f to f_old, add `more` (external forces) to f, and set `more` to 0."""
     work = work_of(lo, hi, dt, f_old, f, v)
     for a in range(lo, hi):
         for d in range(3):
@@ -49,7 +49,7 @@ def book(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats, more:
 
 @njit(cache=True, nogil=True)
 def book_all(team: Ints, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, work: Floats) -> None:
-    """Do `book` for all rows, in all threads. Its result is written to work (PARTS,) J, part by part."""
+    """Do `book` for all rows, in all threads, and write the work of each part of the rows to work (PARTS,) J."""
     for lo, hi, part in ranges(team, 0, len(f), LEAST):
         work[part] = book(lo, hi, dt, f_old, f, v, more)
 
@@ -92,7 +92,7 @@ def end_all(
 def add_up(
     team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, total: Floats, work: Floats
 ) -> None:
-    """Compute total = f + more for the first n rows and their `work_of`, for each part, in work (PARTS,) J."""
+    """Compute total = f + more for the first n rows. Write their `work_of`, for each part of the rows, to work (PARTS,) J."""
     for lo, hi, part in ranges(team, 0, n, LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):

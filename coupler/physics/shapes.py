@@ -117,15 +117,15 @@ class Pores:
 
 
 WALL = 0.1  # pore diameters: least metal between a pore and the surface, or another pore
-_AROUND = 100  # points around a pore that must lie inside
-_STARTS, _TRIES = 30, 100  # arrangements that are tried, and random places for each pore of one
+_AROUND = 100  # points on a sphere around a pore, which must lie inside the shape
+_STARTS, _TRIES = 30, 100  # number of arrangements that are tried, and of random places per pore in each of them
 
 
 def pores(outer: Form, metal: float, share: float, diameter: float, seed: int) -> Pores:
     """Pores at random places within a shape, wholly inside and apart from each other, the same on all machines.
 
     outer: the shape with its pores; metal m3: its volume without them; share: volume of the pores over that of the shape; diameter m:
-    about that of a pore, such that a whole number of pores has this share. Raises ValueError if they do not fit.
+    wanted diameter of a pore; it is changed so that a whole number of pores has this share. Raises ValueError if they do not fit.
     """
     volume = metal * share / (1.0 - share)
     count = max(1, round(volume / sphere_volume(diameter)))

@@ -84,8 +84,8 @@ def steinberg_guinan(law: Numbers, eps_p: float, rate: float, T: float) -> float
 def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> float:
     """Flow stress, Pa: 2 G(T) tau with a saturation stress s, a yield stress y and Voce hardening between them.
 
-    Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. The larger of the stress by thermal activation,
-    erf(kappa T/T_m ln(gamma xi / rate)), and the stress by phonon drag, s_0 (rate / gamma xi)^beta, from some 1e8 1/s on.
+    Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. s and y are each the larger of a stress by thermal
+    activation, with erf(kappa T/T_m ln(gamma xi / rate)), and one by phonon drag, s_0 (rate / gamma xi)^beta, from 1e8 1/s on.
     G(T) = G_0 (1 - alpha T / T_m), without effect of pressure; xi: frequency of a shear wave across an atom, 1/s. eps_p without unit,
     rate 1/s, T K.
     """
@@ -186,14 +186,14 @@ LAWS: dict[str, Law] = {
         preston_tonks_wallace,
         "Preston, Tonks & Wallace (2003): thermal activation and phonon drag",
         {
-            "theta": Parameter("", 0.0, 1.0, None, "initial hardening rate / 2 G"),
+            "theta": Parameter("", 0.0, 1.0, None, "initial hardening rate / (2 G)"),
             "p": Parameter("", 0.0, 20.0, None, "0: Voce hardening; larger values: slower saturation"),
-            "s_0": Parameter("", 1e-5, 1.0, None, "saturation stress at 0 K / 2 G"),
-            "s_inf": Parameter("", 1e-6, 1.0, None, "saturation stress near the melting point / 2 G"),
+            "s_0": Parameter("", 1e-5, 1.0, None, "saturation stress at 0 K / (2 G)"),
+            "s_inf": Parameter("", 1e-6, 1.0, None, "saturation stress near the melting point / (2 G)"),
             "kappa": Parameter("", 0.0, 10.0, None, "thermal activation"),
             "gamma": Parameter("", 1e-12, 1.0, None, "rate of thermal activation / xi"),
-            "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K / 2 G"),
-            "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near the melting point / 2 G"),
+            "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K / (2 G)"),
+            "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near the melting point / (2 G)"),
             "y_1": Parameter("", 1e-5, 1.0, None, "yield stress between thermal activation and phonon drag"),
             "y_2": Parameter("", 0.0, 2.0, None, "exponent of the rate in y_1"),
             "beta": Parameter("", 0.0, 1.0, None, "exponent of phonon drag"),

@@ -18,12 +18,12 @@ from .derived import Derived
 from .ground import ground_of
 
 _LEAST_WINDOW = 0.6  # radius over the width of a particle: the footprint of a splat
-STEEPEST = 0.25  # Sa over the correlation length: root mean square slope 0.63, time steps of elements decrease to 0.7
-_CELLS_OF_PORE = 3.0  # spacings in a pore: walls that were closer do not meet (`impact.folding`)
+STEEPEST = 0.25  # Sa over the correlation length: root mean square slope 0.63, time steps of elements are 0.7 of those of a flat mesh
+_CELLS_OF_PORE = 3.0  # spacings across a pore: walls that are closer at the start get no contact (`impact.folding`)
 _CELLS_OF_SHAPE = 4.0  # elements in a correlation length or a groove
 # of a shaped surface: above 70 degrees elements below it become thinner than those of a flat target
 STEEPEST_FLANK = math.radians(65.0)
-_HIGHEST = 0.4  # height or depth over that of the target
+_HIGHEST = 0.4  # height or depth of a shape over the height of the target
 _DEEPEST = 0.05  # Sa over the height of the target: at smaller values the heights of elements change by a fifth at most
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
@@ -53,7 +53,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     for where, name, temperature in bodies:
         material = catalogue.get(name)
         if material is None:
-            if f"materials.{name}" not in broken:  # otherwise the list has its problems
+            if f"materials.{name}" not in broken:  # otherwise the errors of its table are reported
                 text = f"{where}.material = {shown(name)}: {materials.unknown(name, catalogue)}"
                 yield (f"{where}.material",), text
         elif temperature > _HOTTEST * material.T_m:
@@ -251,7 +251,7 @@ def _layers(d: Derived) -> Iterator[Problem]:
 
 
 def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:
-    """Check the angle of each straight shape, and the width of a groove. coarse m: least width; coarseness: its reason."""
+    """Check the angle of each straight shape, and the width of a groove. coarse (m): least width; coarseness: text with its reason."""
     for name, shape in (("groove", body.groove), ("step", body.step), ("slope", body.slope)):
         if shape is not None and shape.angle > STEEPEST_FLANK * (1 + 1e-9):
             text = f"steeper than a mesh can represent: give at most {math.degrees(STEEPEST_FLANK):.3g} deg"

@@ -23,7 +23,7 @@ from .powder import sizes_of
 
 STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # a valid particle if the table has errors
 _CANDIDATES = 20  # random positions; an "even" layer uses the one farthest from its other positions
-_TRUNCATED = 2.0  # limit of the velocity, in standard deviations
+_TRUNCATED = 2.0  # greatest deviation of the velocity from its mean, in standard deviations
 _BROADER = 3.0  # default limits of the diameter, in standard deviations of the logarithm
 _MIDDLE = 0.05, 0.95  # cumulative mass fractions of the smallest and largest particles, with sizes by mass
 _CLASSES = 200  # of equal mass or number
@@ -141,9 +141,9 @@ def particles(
 ) -> list[dict[str, object]]:
     """The particles of a coating as tables of a scene, in the order of their impacts, layer by layer.
 
-    All random numbers are from `random.Random.random`, which is equal in all versions of Python. The texts have all digits of the
-    values. Velocity and temperature are omitted if the table has none. fed: the powders of the table; passes, dwells: as in
-    `passes.arrivals`; angle (rad): angle of the gun. Raises ValueError if a powder has no particle.
+    All random numbers are from `random.Random.random`, which is equal in all versions of Python. Diameter, position, velocity,
+    temperature and tilt are rounded. Velocity and temperature are omitted if the table has none. fed: the powders of the table; passes,
+    dwells: as in `passes.arrivals`; angle (rad): angle of the gun. Raises ValueError if a powder has no particle.
     """
     dice = random.Random(table.seed)
     counts = _counts(table, fed)

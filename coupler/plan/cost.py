@@ -35,14 +35,14 @@ ON_SPLATS = 4.0  # factor on this time above splats: overhanging splats bend slo
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over time of rest
 # Fits (workflows/pace.py --fit) with the `loads` w of particle (p) and target (t).
 # REST_FIT: (time to rest) v / height = (a w_p^b + a w_t^b) exp(c sin^2 angle), with a, b of each body.
-# STEP_FIT: increase of spacing / (c dt) by deformation: a w^b of each body, with w times cos^2 angle + SHEARED sin angle cos angle. If
-# only one body deforms, it is compressed where it flows along the other, more with finer points: the term of the particle has the
-# factor (1 + w_p)^(e alone), the sum has the factor (N / 1000)^(f alone). alone = ((w_p - w_t) / (w_p + w_t))^2; N: points of a sphere
-# of the particle's diameter.
+# STEP_FIT: increase of spacing / (wave speed * dt) by deformation: the sum of a w^b of both bodies, in which w has the factor
+# cos^2 angle + SHEARED sin angle cos angle. If only one body deforms, it is compressed where it flows along the other, more with finer
+# points: the term of the particle has the factor (1 + w_p)^(e alone), the sum has the factor (N / 1000)^(f alone).
+# alone = ((w_p - w_t) / (w_p + w_t))^2; N: points of a sphere of the particle's diameter.
 REST_FIT = (0.75, 0.316), (0.259, 0.78), 0.953
 STEP_FIT = (0.59, 1.127), (0.443, 0.976), (0.541, 0.608)
 SHEARED = 2.348
-CFL = {"enriched": 0.54, "compiled": 0.41, "machdyn": 0.41}  # c dt / spacing without deformation, by engine
+CFL = {"enriched": 0.54, "compiled": 0.41, "machdyn": 0.41}  # wave speed * dt / spacing without deformation, by engine
 STEP_ON_SPLAT = 0.69  # dt of an impact on a splat over dt on a substrate: 0.58 to 0.78 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # strain of the flow stress in a damage number
 STRAIN_OF_RIM = 1.5  # of a particle
@@ -55,8 +55,8 @@ SECONDS_PER_RUN = 0.3  # files and pictures, without the start of the program
 SECONDS_PER_MESHED_ELEMENT = 1e-4
 SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000 ...
 SECONDS_PER_CONVERSION = 0.3  # ... and for its process
-# Between impacts (`deposition`), means of a coating of 40: steps of the target until a new splat or a pause is at rest, and steps of
-# implicit conduction
+# Between impacts (`deposition`), means of a coating of 40 particles: steps until the target is at rest after a new splat or a pause,
+# and steps of implicit conduction
 GRID = 1.6  # cost of a step with the coarse grid over cost without it
 JOIN_STEPS = 30 * GRID
 PAUSE_STEPS = 190 * GRID  # before and after a pause
@@ -114,8 +114,8 @@ def loads(
 
     The load is Johnson's damage number rho v^2 / Y, with the density of the particle and the flow stress of the body, times the
     fraction of the energy that the body absorbs, which is proportional to its compliance 1 / Y. The flow stress of the particle is
-    that of its rim, heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): temperatures of particle and target; velocity
-    m/s, diameter m.
+    that of its rim, heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): those of particle and target; velocity m/s,
+    diameter m.
     """
     metal, rate, inertia = materials[0], velocity / diameter, materials[0].rho * velocity**2
     Y, Y_base = (flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
@@ -131,8 +131,8 @@ def stopping_time(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> float:
     """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829): (2/3) rho_p D /
-    sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): temperatures of
-    particle and target; velocity m/s, diameter m."""
+    sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): those of particle
+    and target; velocity m/s, diameter m."""
     rate, (particle, target) = velocity / diameter, materials
     H = HARDNESS_OVER_FLOW_STRESS * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
     slowing = math.atan(velocity * math.sqrt(target.rho / (2.0 * H)))
@@ -185,8 +185,8 @@ def step_time(steps: float, points: float, n_elements: float, engine: str) -> fl
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact two fractions of the wall time, before
-    its steps and of its steps; whole: wall time, s; memory, files: bytes."""
+    """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact the fraction of the wall time before
+    its steps, and that of its steps; whole: wall time, s; memory, files: bytes."""
 
     steps: list[int]
     shares: list[tuple[float, float]]

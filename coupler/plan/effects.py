@@ -15,7 +15,7 @@ from .reading import Scene
 
 
 class Effect(NamedTuple):
-    """One effect. number: name of the number that decides (`numbers`); threshold: `auto` switches the effect on if it is larger."""
+    """One effect. number: name of the deciding number (`numbers`); threshold: `auto` switches the effect on if the number is larger."""
 
     name: str
     number: str
@@ -33,14 +33,14 @@ EFFECTS = (
     Effect("temperature_dependent_k", "change of k x diffusion length / size"),
     Effect("friction", "friction coefficient"),
     Effect("friction_heat", "friction x heating / (T_m - T)"),
-    Effect("dissipation_heat", "heating / T, 0 if it could melt"),
+    Effect("dissipation_heat", "heating / T, 0 if a body could melt"),
     Effect("mie_gruneisen", "v / c0"),
     Effect("thermal_expansion", "Gamma0 rho cp heating / K"),
-    Effect("adhesion", "number of splats that the scene bonds"),
+    Effect("adhesion", "law of adhesion (1: yes, 0: none)"),
     Effect("absorbing_boundaries", "time / wave time to the side and back", 1.0),
     Effect("conduction", "sqrt(alpha time) / size x warming", 0.05),
     Effect("particle_conduction", "sqrt(alpha time) / spacing", 0.1),
-    Effect("interface_conduction", "sqrt(alpha time) / size, both", 0.15),
+    Effect("interface_conduction", "sqrt(alpha time) / size, smaller of both", 0.15),
     Effect("cooling", "sqrt(alpha dwell) / diameter", 0.05),
     Effect("recovery", "dislocations recovered in a pause", 0.01),
 )
@@ -68,7 +68,7 @@ def numbers(
         return m.flow_stress(STRAIN_OF_FLOW, rate, min(T, m.T_ref))
 
     def by_gradient(m: Material, T: float, _: float) -> float:
-        eta = 10.0 / impact.diameter  # 1/m: the strain changes by 1 over a tenth
+        eta = 10.0 / impact.diameter  # 1/m: the strain changes by 1 over a tenth of the diameter
         own = stress_of_gradient(m.forest, m.gradient_length, eta)
         return math.hypot(1.0, own / stress(m, T)) - 1.0
 

@@ -72,7 +72,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
         return problems
     conditions, _ = read(raw["gas"])
     if conditions is not None and conditions.nozzle not in known:
-        if conditions.nozzle not in tables:  # otherwise the list has its problems
+        if conditions.nozzle not in tables:  # otherwise the errors of its table are reported
             problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
         conditions = None
     particles = particle_tables(raw)
@@ -109,7 +109,7 @@ def describe(scene: SceneData) -> list[str]:
     c = scene.gas
     nozzle = nozzles.from_tables(scene.nozzles)[0][c.nozzle]
     where = f"{c.kind} {units.rounded(c.pressure, 'bar')}, {units.rounded(c.temperature, 'degC')}, nozzle {nozzle.name}"
-    head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away:"
+    head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} to the target:"
     gives = list(dict.fromkeys(_gives(scene, c, nozzle, particle) for particle in scene.particles))
     more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
     lines = [head, *(_INDENT + text for text in [*gives[:_MOST_LINES], *more])]

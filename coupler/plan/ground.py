@@ -1,4 +1,4 @@
-"""The shape of the surface of a substrate, from its closed forms and its map of heights."""
+"""The shape of the surface of a substrate, from its groove, step, slope and map of heights."""
 
 import math
 from functools import cache
@@ -62,6 +62,6 @@ def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tupl
         raise InputError(table.file, f"{lacks}: {give}")
     from scipy.ndimage import gaussian_filter  # its import takes longer than all others of a plan
 
-    shares = gaussian_filter(inside.astype(float), 1.0)  # of the places of the disc in each average
+    shares = gaussian_filter(inside.astype(float), 1.0)  # weight of the disc in each average
     z = gaussian_filter(np.where(inside, z - z[inside].mean(), 0.0), 1.0) / np.maximum(shares, 1e-3)
     return tuple(tuple(row) for row in np.round(z, _DECIMALS).tolist())

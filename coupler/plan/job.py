@@ -32,7 +32,7 @@ from .reading import Scene
 ROOM = 1.1 * cost.LEAST_POINTS  # points of the smallest particle of a coating
 COVER = 7.4  # particles of a layer over the square of the radius `Coatings.disc`
 LEAST_OF_EACH = 2  # particles of each powder in a coating
-OF_PARTICLE = "hardness", "yield_strength", "porosity", "pore_diameter", "core"  # keys of a powder and of a particle
+OF_PARTICLE = "hardness", "yield_strength", "porosity", "pore_diameter", "core"  # keys of powder and particle
 _OF_COATING = re.compile(r"^(particle\[\d+\]|coating(\.number = \d+: powder|\.powder|(?=\.)))")  # a powder in messages
 START = 4.0  # processor time of the start of a run and of its pictures, s
 PARALLEL = 0.8  # efficiency of several threads and of runs of unequal length
@@ -148,7 +148,7 @@ class Job:
     @cached_property
     def arrived(self) -> Mapping[str, Spray]:
         """Each powder at impact, by name, with the critical-velocity formula for its metal and the surface of the substrate; a ceramic
-        needs a metal beside it. Raises ColdsprayError as `spray`."""
+        powder needs a metal powder in the blend. Raises ColdsprayError as `spray`."""
         found, base = {}, self.metals[self.surface]
         of_base = f"substrate.{'layer[1].' * bool(self.data.substrate.layer)}material"
         for name, powder in self.powders.items():
@@ -261,7 +261,7 @@ class Job:
 
     @cached_property
     def by_number(self) -> Mapping[str, float]:
-        """Fraction of each powder of the number of particles of a coating."""
+        """Number of particles of each powder divided by the number of all particles of a coating."""
         each = {n: mass / (self.powders[n].flying.rho * self.medians[n] ** 3) for n, mass in self.stays.items()}
         return {name: number / sum(each.values()) for name, number in each.items()}
 

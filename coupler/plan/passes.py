@@ -39,7 +39,7 @@ def spot_of(path: GunPath, folder: Path) -> Spot:
 
 
 def divided(number: int, weights: np.ndarray) -> np.ndarray:
-    """A number of particles divided by weights (k,): whole numbers (k,) by the largest remainders."""
+    """A number of particles, distributed in proportion to weights (k,): whole numbers (k,), by the largest remainders."""
     exact = number * weights / weights.sum()
     counts = np.floor(exact).astype(int)
     counts[np.argsort(counts - exact, kind="stable")[: number - counts.sum()]] += 1

@@ -27,7 +27,7 @@ from .remarks import absorbing_distance, remarks
 from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # time constant of the strain rate's average over D / v
-# factors on the penalty stiffness of the contact; the second with bonds: the springs then return a sixth of the rebound, not half
+# factors on the penalty stiffness of the contact; the second with bonds: the springs then store a sixth of the rebound's energy
 CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 
@@ -153,7 +153,7 @@ def _impact(scene: Scene, i: int, normals: Sequence[Vector]) -> ImpactPlan:
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
         pores=particle.pores(),
         core=d.core_of(particle),
-        can_bond=joins or (on_splat and not material.is_ceramic),  # round a ceramic in a coating there is metal
+        can_bond=joins or (on_splat and not material.is_ceramic),  # beside a ceramic splat it can meet metal
         normal=normals[i],
     )
 

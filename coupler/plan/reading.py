@@ -171,16 +171,16 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
 
 
 def _brief(problems: list[str]) -> list[str]:
-    """The problems without repetitions: of those that differ only in particle and numbers, only the first remains."""
+    """The problems without repetitions: of those that differ only in particle and numbers, the first MOST_ALIKE remain."""
     kinds = [_NUMBERS.sub("#", problem) if _OF_PARTICLE.match(problem) else problem for problem in problems]
     told = [p for i, p in enumerate(problems) if kinds[:i].count(kinds[i]) < MOST_ALIKE or not _OF_PARTICLE.match(p)]
     left = len(problems) - len(told)
-    return [*told, f"... and {left} more of other particles"] if left else told
+    return [*told, f"... and {left} more problems of other particles"] if left else told
 
 
 def _set_defaults(raw: dict[str, object]) -> None:
-    """Set default values that depend on other keys of a scene of nested dicts: a coating is on a half-space, several particles end
-    cold, and bonds by exposure have the spacing at which their verdicts are valid."""
+    """Set default values that depend on other keys of a scene of nested dicts: a coating is on a half-space, a run of several
+    particles has a closing stage, and bonds by exposure have the spacing at which their verdicts are valid."""
     if "coating" in raw and isinstance(substrate := raw.get("substrate"), dict):
         raw["substrate"] = {"sides": "half_space", "bottom": "half_space"} | substrate
     end, particles = raw.get("end", {}), raw.get("particle")

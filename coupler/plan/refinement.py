@@ -10,9 +10,9 @@ from . import cost
 from .reading import Scene
 
 # Points of a run over points of its coarsest companion; the middle one has the geometric mean. Spacings differ by 16^(1/6) = 1.6, more
-# than the factor 1.3 of Celik et al. (2008), J. Fluids Eng. 130, 078001. Both companions have a fifth of the cost of the run's steps.
+# than the factor 1.3 of Celik et al. (2008), J. Fluids Eng. 130, 078001. Both companions together cost a fifth of the run's steps.
 REDUCTION = 16
-COARSEST = 250  # points: with fewer points a sphere is less than six spacings wide
+COARSEST = 250  # points: with fewer points a sphere is less than eight spacings wide
 LEAST_REDUCTION = 1.5  # ratio of the points of two compared resolutions
 # Eca & Hoekstra (2014), J. Comput. Phys. 262, 104. They use the second factor also if the observed order is outside ORDERS, which
 # doubles the errors here (docs/evidence/accuracy.md).

@@ -32,7 +32,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
         yield f"the smallest or thinnest particle sets the spacing: the largest has {points}"
     shortest = max(cost.CHUNK * i.dt_expected for i in impacts)
     if scene.output.every is not None and scene.output.every < shortest:
-        less = f"{units.rounded(scene.output.every, 'ns')} is less than {cost.CHUNK} time steps, some {units.rounded(shortest, 'ns')}"
+        less = f"{units.rounded(scene.output.every, 'ns')} is less than {cost.CHUNK} time steps, about {units.rounded(shortest, 'ns')}"
         yield f"output.every = {less}: fields are written every {cost.CHUNK} time steps"
     if scene.derived.element_size < scene.derived.spacing:
         yield "element_size is smaller than the spacing: single points can then penetrate the facets; give a larger element_size"

@@ -58,7 +58,7 @@ def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        "  retry      after a failure: again from its start with half the time step, then a quarter",
+        "  retry      a failed impact is computed again from its start, with half the time step, then with a quarter",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),

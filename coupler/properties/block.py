@@ -13,8 +13,8 @@ from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors, compact
 
 EDGES = np.array(list(combinations(range(4), 2)))
-SNAP = 0.02  # element sizes: nodes that near a face of the block are put on it, so that no sliver is left
-SLIVER = 1e-9  # element sizes cubed: less volume have elements that those nodes have made flat: they are left out
+SNAP = 0.02  # element sizes: nodes closer than this to a face of the block are moved onto the face, so that no sliver is left
+SLIVER = 1e-9  # element sizes cubed: elements with a smaller volume, made flat by this motion, are left out
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def extract_block(
             points, tets, parent, at_nodes = clip(points, tets, parent, at_nodes, off, SLIVER * size**3)
     body = body[parent]
     faces, behind = boundary_faces(tets)
-    ends = np.stack([low, high])  # each corner of a facet on a face has the coordinate of one end
+    ends = np.stack([low, high])  # all corners of a facet on a face share a coordinate of low or high
     on_wall = (abs(points[faces][:, :, None] - ends) < 1e-9 * (high - low).max()).all(axis=1).any(axis=(1, 2))
     inner, behind = faces[~on_wall], behind[~on_wall]
     index = np.unique(body[behind], return_inverse=True)[1]  # of the bodies with a surface inside the block
@@ -124,7 +124,7 @@ def clip(
 
 
 def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float) -> Joints:
-    """Joints between each body and those before it. Bonded nodes belong to the later body; touching nodes to either."""
+    """Joints between each body and earlier bodies. A bonded node belongs to the later body; a touching node to either of the two."""
     found = [new_rows(Joints, 0, law=at_nodes[:0, 2:])]
     near = earlier_neighbours(surfaces, points, reach) if len(surfaces.facets) else []
     for later in (number for number, earlier in enumerate(near) if earlier):
@@ -135,7 +135,7 @@ def _joints(surfaces: Surfaces, points: NDArray, at_nodes: NDArray, reach: float
         normal = area_vectors(points, triangles)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         kept = (pairs.area > 0.0) & (bonded | touches)
-        # where a face is near, some of the node is bonded
+        # at a node on a face of the block the mark `bonded` is interpolated, so that the values are divided by it
         law = at_nodes[pairs.nodes, 2:] / np.maximum(at_nodes[pairs.nodes, :1], 0.5)
         joints = Joints(pairs.nodes, triangles, pairs.weights, normal, pairs.gap, pairs.area, bonded, law)
         found.append(take(joints, kept))

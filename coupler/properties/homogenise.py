@@ -23,12 +23,12 @@ from ..geometry.triangles import area_vectors
 from .block import Block, Joints
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-TOLERANCE = 1e-6  # of the residual: the energy is then right to some 1e-9
-ITERATIONS = 3000  # more are needed where a part hangs by a hinge: then uniform traction bends it without limit
-LEAST = 1e-3  # of the largest eigenvalue of a stiffness: less has what hangs by a hinge
-ROUNDS = 6  # of the search for the surfaces that bear pressure: the last ones change some that bear next to nothing
-# Stiffness of a facet that touches, in that of an element: softens the block by less than 1e-3. In series with it lies the gap as
-# metal: on the faces of the block, where nodes on both sides are prescribed, a stiffer spring would bear more than metal does.
+TOLERANCE = 1e-6  # relative residual: the relative error of the energy is then some 1e-9
+ITERATIONS = 3000  # more are needed only if a part is connected as by a hinge: uniform traction turns it without limit
+LEAST = 1e-3  # smallest over largest eigenvalue of a stiffness: it is lower if a part is connected as by a hinge
+ROUNDS = 6  # rounds of the search for the surfaces that bear pressure: the last ones change only surfaces with almost no pressure
+# Stiffness of a touching facet over that of an element: it softens the block by less than 1e-3. The gap, as metal, is in series with
+# it. Otherwise a spring on a face of the block, where nodes on both sides are prescribed, would bear more than metal does.
 TOUCHING = 100.0
 
 
@@ -47,9 +47,9 @@ class Problem:
     volume: float
 
     def uniform(self, vectors: NDArray) -> NDArray:
-        """Fields (loads, components n) that vectors (n,3) cause under unit loads: the products of the vectors with unit tensors (in
-        shear, half of each of two products), or for conduction the vectors' components. Of positions: the linear fields of unit
-        strains or gradients. Of areas: the forces of uniform stresses, or the fluxes."""
+        """Products (loads, components n) of vectors (n,3) with the unit tensor of each load (in shear with two entries of 1/2); for
+        conduction the components of the vectors. If the vectors are positions, these are the linear fields of unit strains or
+        gradients; if they are areas, the forces of uniform stresses, or the fluxes."""
         if self.components == 1:
             return np.asarray(vectors.T)
         unit = np.zeros((6, 3, 3))
@@ -64,7 +64,7 @@ class Problem:
         return self._driven([prescribed] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
-        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; zero for two loads with different conditions."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; 0 between loads with different conditions."""
         if self.components == 1:
             return self._driven(list(self.on_face))
         prescribed = np.zeros((6, 3, len(self.x)), bool)
@@ -78,15 +78,15 @@ class Problem:
     def static(self) -> NDArray | None:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK under uniform tractions or fluxes on the metal of the faces (lower bound). If
         pores make a resultant force or moment, tractions that vary linearly over the same faces balance it. They act only on nodes
-        that the mixed conditions also hold, so that the result stays below the mixed one. None if no part of the block connects all
-        six faces, or a part has fewer than three prescribed points, because it could move without limit."""
+        at which the mixed conditions also prescribe values, so that the result stays below the mixed one. None if no part of the block
+        connects all six faces, or a part has fewer than three prescribed points, because it could move without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
         part = connected_components(K, directed=False)[1]
-        kept = np.flatnonzero(part == np.bincount(part).argmax())  # the rest, which does not hang on it, bears nothing
+        kept = np.flatnonzero(part == np.bincount(part).argmax())  # other parts bear no load
         K, loads, basis = K[kept][:, kept], (T.T @ loads)[kept], np.linalg.qr(self._rigid()[free[kept]])[0]
-        normal = loads[:, :3]  # a row has one sign on each of two opposite faces
+        normal = loads[:, :3]  # a normal load has opposite signs on two opposite faces: the part must reach both
         if (normal.max(axis=0) <= 0.0).any() or (normal.min(axis=0) >= 0.0).any():
             return None
         for load in loads.T:
@@ -98,7 +98,7 @@ class Problem:
             if failed:
                 return None
         stress, energy = (each @ loads / self.volume for each in (self.uniform(self.x)[:, free[kept]], answer.T))
-        if self.components == 1:  # of each direction alone, as the mixed conditions
+        if self.components == 1:  # each direction alone, as in the mixed conditions
             stress, energy = np.diag(stress.diagonal()), np.diag(energy.diagonal())
         unit = np.linalg.inv(stress)
         compliance = unit.T @ energy @ unit
@@ -151,7 +151,7 @@ class Problem:
         return csr_array(T[:, free]), free
 
     def _rigid(self) -> NDArray:
-        """Fields (components N, modes) without energy: translations and rotations of displacement, a constant temperature."""
+        """Fields (components n, modes) without energy: translations and rotations of displacement, a constant temperature."""
         n = len(self.x)
         if self.components == 1:
             return np.ones((n, 1))
@@ -166,7 +166,7 @@ def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -
     """The elastic problem of a block under small further loads, while it is pressed (strain -1) or stretched (1) equally in all
     directions, in the mixed conditions. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the
     opposite points. Touching surfaces slide without friction: those that bear pressure in this state are closed, the others are
-    open. With this set the problem is linear, and the three conditions enclose it. Raises SolverError."""
+    open. With these fixed, the problem is linear, and the three conditions give bounds. Raises SolverError."""
     of_lame, of_shear = (gradient_products(block.points, block.tets, each) for each in (lame, shear))
     laplacian = of_shear[0][0] + of_shear[1][1] + of_shear[2][2]
     rows = [

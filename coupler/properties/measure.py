@@ -21,16 +21,16 @@ from .block import Block, extract_block
 from .homogenise import Problem, conducting, elastic
 
 # Conductance of facets that touch through their oxide films, greatest and least, W/(m2 K): two interfaces of metal and oxide in series,
-# each from 1.1 GW/(m2 K), within 40 % of the most that is possible (Wilson, Apgar, Hsieh, Martin & Cahill (2015), Phys. Rev. B 91,
+# each from 1.1 GW/(m2 K), within 40 % of the physical maximum (Wilson, Apgar, Hsieh, Martin & Cahill (2015), Phys. Rev. B 91,
 # 115414), to 30 MW/(m2 K) (Monachon, Weber & Dames (2016), Annu. Rev. Mater. Res. 46, 433; second-hand). The film itself, some nm of
 # oxide of 1 W/mK and more, resists less; so does the constriction at surfaces that have flowed into each other.
 CONDUCTANCE = (5.5e8, 1.5e7)
-# Of electricity: all or nothing. A film of 1 nm lets electrons tunnel with some 1e-12 Ohm m2, less than a splat of 10 um has, one of 3
-# nm with 1e-8 (Holm (1967), Electric Contacts, 4th ed.; second-hand). In conductances of an element:
+# The same for electricity: contact or insulation. By tunnelling, a film of 1 nm has some 1e-12 Ohm m2, comparable to a splat of 10 um;
+# a film of 3 nm has 1e-8 (Holm (1967), Electric Contacts, 4th ed.; second-hand). Values over the conductance of an element:
 CONTACT, INSULATED = 1e3, 1e-6
 LORENZ = 2.44e-8  # W Ohm/K2: law of Wiedemann and Franz, Sommerfeld's value
 ROOM = 300.0  # K
-LEAST_SPLATS, FEW_SPLATS = 2.0, 30.0  # in the volume of a block: fewer are refused, or warned of
+LEAST_SPLATS, FEW_SPLATS = 2.0, 30.0  # splats in a block: with fewer the block is refused, or a warning is given
 GROUND, TOP = 0.99, 0.1  # quantiles of the heights of substrate and coating between which a block lies
 
 
@@ -152,8 +152,8 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
 def extract_sample(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
-    """The block between two corners (3,) m. law (n,k): of the bond of each node; first: 0 to include the substrate. Raises StoreError
-    if it is too small for its splats, but for a joint to the substrate one splat is enough."""
+    """The block between two corners (3,) m. law (n,k): values of the bond of each node; first: 1, or 0 to include the substrate. Raises
+    StoreError if a block without the substrate has room for fewer than LEAST_SPLATS splats."""
     mesh, impact = splats.mesh, splats.impact[splats.body]
     own = impact >= first
     of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)
@@ -189,7 +189,7 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
         for condition, C in (("kinematic", kinematic), ("mixed", mixed), ("static", static)):
             stiffness[condition + state] = None if C is None else C.tolist()
     area, edges = float(joints.area.sum()), (block.high - block.low).tolist()
-    few = f"the block contains {whole.splats:.0f} splats, too few for an error: give runs with other seeds"
+    few = f"the block contains {whole.splats:.0f} splats, too few for a reliable error: give runs with other seeds"
     return Properties(
         side_m=edges[0], height_m=edges[2], elements=len(block.tets), splats=whole.splats,
         solid=block.solid, open_share=open_share, bonded=float(joints.area @ joints.bonded) / area if area else 0.0,
@@ -200,7 +200,7 @@ def _measured(whole: Sample, quarters: list[Sample], conductance: tuple[float, f
 
 def moduli(stiffness: NDArray) -> dict[str, float]:
     """Young's and shear moduli, Pa, of a stiffness (6,6) Pa: in the plane (from the mean compliance of x and y) and across it."""
-    least = 1e-12 * abs(stiffness).max() * np.eye(6)  # where all is loose
+    least = 1e-12 * abs(stiffness).max() * np.eye(6)  # so that an inverse exists if parts are loose
     S = np.linalg.inv(stiffness + least).diagonal().tolist()
     return {
         "E_in_plane": 2.0 / (S[0] + S[1]), "E_across": 1.0 / S[2],

@@ -34,13 +34,13 @@ from .measure import cold_coating, corners, extract_sample
 # Strength times thickness of the film over the central value: range of Ni, Cu, Al (docs/theory/bonds.md)
 FILM = (1.0, 0.4, 2.0)
 AXES = {"across": 2, "in_plane": 0, "adhesion": 2}  # direction of a pull -> axis
-STRAIN = 2e-6  # of a step: a wave crosses a block in less than 100 steps
-MOST = 0.03  # strain at which a block that has not parted is left
+STRAIN = 2e-6  # strain of a step: a wave crosses a block in less than 100 steps
+MOST = 0.03  # strain at which the test ends if the block has not parted
 PARTED = 0.1  # of the greatest stress: a block that bears less has parted
-EVERY = 50  # steps of a row
-DAMPING = 0.02  # of the critical damping of a step: critical for a motion of some 300 steps
-MASSES = 1e-10  # s: step of each element with the masses of the relaxation
-RATE_TIME = 1.0  # s, of the average of strain rates: they become the plastic strain per s, as in a tensile test
+EVERY = 50  # steps for each row of the table
+DAMPING = 0.02  # over the critical damping of a step: a vibration with a period of some 300 steps is critically damped
+MASSES = 1e-10  # s: time step of each element with the masses of the relaxation
+RATE_TIME = 1.0  # s, time constant of the average of strain rates: the law then uses low rates, as in a tensile test
 NAMES = ("pull.csv", "pull.png", "pull_across.vtu", "pull_in_plane.vtu", "pull_adhesion.vtu")
 WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion": "across, with the substrate"}
 
@@ -51,9 +51,9 @@ class Pull:
 
     film: factor on strength times thickness of the oxide film, None if bonds of the run never break; strength: greatest force over
     the area of the block, pores included; strain: strain at the greatest force; has_parted: whether the block has parted;
-    at_substrate: share of the substrate in the bonded area that has lost half of its strength or more; brittle: share of the bonds in
-    the work of bonds and plastic flow; energy_error: largest error of the energy balance, relative to the whole work; rows: stress
-    and energies against strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
+    at_substrate: of the bonded area that has lost more than half of its strength, the share at the substrate; brittle: share of the
+    bonds in the work of bonds and plastic flow; energy_error: largest error of the energy balance, relative to the whole work; rows:
+    stress and energies against strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
     """
 
     direction: str
@@ -90,7 +90,7 @@ def strengths(
     of_splats = splats.mesh.cells[splats.impact[splats.body] > 0]
     lowest, found = float(splats.mesh.points[of_splats, 2].min()) - 2.0 * splats.element_size, []
     for direction in directions:
-        first = 0 if direction == "adhesion" else 1  # body of the block
+        first = 0 if direction == "adhesion" else 1  # smallest number of an impact in the block; 0: the substrate
         sample = extract_sample(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
         state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
@@ -115,7 +115,7 @@ def pull(
             break
         greatest = max(greatest, rows[-1]["stress_Pa"])
     t, bond, peak = machine.t, machine.bond, max(rows, key=lambda row: row["stress_Pa"])
-    was_bonded = np.arange(len(bond)) < block.joints.bonded.sum()  # the others come after them
+    was_bonded = np.arange(len(bond)) < block.joints.bonded.sum()  # touching joints come after the bonded ones
     owner = np.zeros(len(t.nodes.x), int)
     owner[t.mesh.conn] = np.unique(block.body)[t.law_of][:, None]
     lost = bond.area * ((bond.damage > 0.5) & was_bonded)
@@ -131,7 +131,7 @@ def pull(
 
 class Machine:
     """A block whose two faces normal to `axis` move apart. Arguments: as of `pull`. t, bond: bodies, and bonds between them; force N,
-    work J: of the faces; damped J: what damping has dissipated; steps: so far."""
+    work J: on the faces; damped J: energy that damping has dissipated; steps: number of steps so far."""
 
     def __init__(self, block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, axis: int, film: float | None):
         middle, self.axis, self.length = 0.5 * (block.low + block.high), axis, float(block.high[axis] - block.low[axis])
@@ -188,8 +188,8 @@ class Machine:
 
 
 def _turning(bond: Bond, x: NDArray) -> Bond:
-    """Bonds with weights that bound how far each corner of a facet moves the point of the bond across a gap: the facet turns by the
-    motion of a corner over its height, which is small where a face of the block crosses the facet. x (n,3) m."""
+    """Bonds whose weights are upper bounds of the motion of the bonded point, across the gap, over that of each corner of the facet.
+    The facet turns by the motion of a corner over its height, which is small where a face of the block cuts the facet. x (n,3) m."""
     corners = x[bond.triangles]
     opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     twice = 2.0 * np.linalg.norm(area_vectors(x, bond.triangles), axis=1)[:, None]
@@ -197,8 +197,8 @@ def _turning(bond: Bond, x: NDArray) -> Bond:
 
 
 def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
-    """Bonds at the joints of a block, then those that touch, which are broken. node: new index of each node. The width of ligaments,
-    2 G / N, grows with the film; springs bear N at an opening below it, as in `physics.adhesion.ligament_bonds`."""
+    """Bonds at the bonded joints of a block, then at the touching ones, which count as broken. node: new index of each node. The width
+    of ligaments, 2 G / N, grows with the film; springs reach N below this opening, as in `physics.adhesion.ligament_bonds`."""
     size = float(np.cbrt(6.0 * np.sqrt(2.0) * t.mesh.V0.mean()))  # edge of a regular tetrahedron
     stiffness, joints = penalty(float(t.laws["K"].min()), size), block.joints
     law: dict[str, NDArray] = {}
@@ -218,7 +218,7 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
 
 
 def write_pulls(folder: Path, pulls: list[Pull], about: str) -> None:
-    """Write NAMES: stress and energies of pulls against strain, curves, joints at the end of the central film. Raises StoreError."""
+    """Write NAMES: stress and energies against strain, a figure, the joints at the end with the central film. Raises StoreError."""
     rows = [{"direction": p.direction, "film": p.film, **row} for p in pulls for row in p.rows]
     write_rows(folder / NAMES[0], list(rows[0]), rows, about)
     figure = blank(5.0, 3.5, 160, "constrained")

@@ -1,7 +1,7 @@
 """A strip with a coating: its curvature from the deposition stress and from the difference of thermal expansion, layer by layer.
 
-Tsui & Clyne (1997), Thin Solid Films 306, 23: a layer arrives with a stress; then strip and layers before it stretch and bend until
-no force and no moment is left. At the end the temperature of the whole strip changes. Sections stay plane, and the material is
+Tsui & Clyne (1997), Thin Solid Films 306, 23: a layer arrives with a stress; then strip and layers, this one too, stretch and bend
+until no force and no moment is left. At the end the temperature of the whole strip changes. Sections stay plane, and the material is
 elastic and equal in both directions of the plane: the modulus is E / (1 - nu).
 """
 
@@ -28,7 +28,7 @@ NAMES = ("strip.csv", "strip.inp")
 
 @dataclass(frozen=True)
 class Strip:
-    """A section of a coated strip in slices, from the bottom. The first `below` slices are the strip, each other is a layer.
+    """A section of a coated strip in slices, from the bottom. The first `below` slices are the strip; each further slice is a layer.
 
     height (k,) m; modulus (k,) Pa: E, of metal and pores; nu (k,); arriving (k,) Pa: stress in the plane with which a layer arrives;
     expansion (k,): strain of the slice, if it is free, in the last change of temperature.
@@ -47,8 +47,8 @@ class Strip:
         return np.asarray(np.cumsum(self.height) - 0.5 * self.height)
 
     def relaxed(self, force: NDArray) -> tuple[NDArray, float]:
-        """Change of stress (k,) Pa in the middles, and of curvature (1/m, positive where the coated side is convex), of the lowest k
-        slices, which stretch and bend until no resultant of `force` (k,) N/m, which their middles bear, is left."""
+        """The middles of the lowest k slices bear `force` (k,) N/m; the slices stretch and bend until no resultant force and moment is
+        left. Returns the change of stress (k,) Pa in the middles, and of curvature (1/m, positive if the coated side is convex)."""
         z, h, k = self.middle[: len(force)], self.height[: len(force)], len(force)
         M = self.modulus[:k] / (1.0 - self.nu[:k])
         first = float(M * h @ z)
@@ -93,9 +93,9 @@ class Strip:
 
 
 def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float | None = None) -> Strip:
-    """A strip of a run's substrate metal, `thickness` m, with the run's coating above z = 0. Its slices of half an element have the
-    mean stress in the plane, and Young's modulus of the block `of` in the plane by their share of metal. sprayed_at: temperature of
-    strip and coating, K, from which both cool to ambient when all layers have come; None: no cooling but that of the run. Raises
+    """A strip of a run's substrate metal, `thickness` m, with the run's coating above z = 0. Slices of the coating, half an element
+    high, have their in-plane stress and the in-plane modulus of the block `of`, scaled with their share of metal. sprayed_at:
+    temperature (K) of strip and coating after the last layer, from which both cool to ambient; None: only the run cools them. Raises
     StoreError without a coating above z = 0."""
     plan, splats = read_plan(result.directory), read(result)
     step, radius = 0.5 * splats.element_size, disc_radius(splats)
@@ -120,7 +120,7 @@ def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float
 
 def write(strip: Strip, length: float, folder: Path, about: str) -> None:
     """Write NAMES. csv: a row for each slice, z above the surface of the strip. inp: a quarter of the flat strip, `length` m long and a
-    third as wide, with the stress that it has while it is clamped flat: a brick C3D8I for each slice. The static step frees it: it
+    third as wide, with the stress that it has while it is clamped flat: bricks C3D8I. In the static step it is free, and
     bends. The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of
     elements, six components; Abaqus Keywords Reference, *INITIAL CONDITIONS). All other lines are the same in both. SI units."""
     (residual, flat, _), z = strip.residual(), strip.middle - strip.height[: strip.below].sum()

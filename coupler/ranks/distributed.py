@@ -125,7 +125,7 @@ class DistributedParticle:
         saved the state. Raises CheckpointError if the state does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.steps, self.dt = state.whole.steps, state.whole.dt
-        self.totals = state.totals  # LAMMPS computes its strains in the next step
+        self.totals = state.totals  # cannot be computed yet: LAMMPS computes the strains only in the next step
         self._points = None
         if self.local is None:
             self.x, self.v = self.whole("x"), self.whole("v")

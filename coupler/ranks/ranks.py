@@ -1,4 +1,4 @@
-"""Roles of the processes: one process, or ranks under mpiexec. Only this package imports mpi4py, apart from LAMMPS's communicator.
+"""Roles of the processes: one process, or ranks under mpiexec.
 
 The last rank, the *root*, computes the target, the contact and the ledger, and writes the files. The other ranks share the particle in
 equal parts. Between chunks of steps the root calls methods on the other ranks (`DistributedParticle.ask`). Within a chunk each other

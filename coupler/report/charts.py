@@ -40,8 +40,8 @@ CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
 }  # fmt: skip
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-PART_OF_OTHER = 1e-3  # of the initial kinetic energy: a smaller rest is rounding
-MOMENT = 1e-13  # s: invisible on the page, but more than its rounding
+PART_OF_OTHER = 1e-3  # of the initial kinetic energy: a smaller remainder is a rounding error
+MOMENT = 1e-13  # s: invisible on the page, but more than the rounding of times
 
 
 def energy(history: History) -> Figure | None:

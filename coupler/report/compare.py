@@ -70,7 +70,7 @@ def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
             values, widths = [each.get(line.key) for each in entries], [each.get(line.key) for each in errors]
             known = zip(values, widths, line.cells, strict=True)
             line.cells[:] = [cell if value is None else shown(line.key, value, width) for value, width, cell in known]
-            if len(results) == 2:  # of what ought to be zero a change says nothing
+            if len(results) == 2:  # a change of a value that should be zero means nothing
                 line.cells.append("" if group == BALANCE else _change(values[0], values[1], *widths))
     return groups
 

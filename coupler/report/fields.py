@@ -56,7 +56,7 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:
-    """The values (n, ...) of a field at the points. Of values in tetrahedra the mean around a point, weighted by volume."""
+    """The values (n, ...) of a field at the points. For a field in tetrahedra: the mean over those at a point, weighted by volume."""
     values = fields.data[name].astype(float)
     if len(values) == len(fields.points):
         return values

@@ -1,5 +1,5 @@
 "use strict";
-// Draws the curves and the 3D view from the numbers in the page. Asks for nothing outside of it.
+// Draws the curves and the 3D view from the numbers in the page. Loads nothing from outside the page.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const family = getComputedStyle(document.body).fontFamily;
@@ -172,7 +172,7 @@ class Solid {
     document.getElementById("play").textContent = "Play";
   }
 
-  // what WebGL draws does not reach paper: a picture of it stands by, made when the view has come to rest
+  // browsers do not print the WebGL view: its picture is printed instead, made when the view no longer moves
   forPrint() {
     clearTimeout(this.printing);
     this.printing = setTimeout(async () => {
@@ -206,7 +206,7 @@ for (const button of document.querySelectorAll("button.copy"))
     const text = document.getElementById(button.dataset.of);
     try {
       await navigator.clipboard.writeText(text.textContent);
-    } catch { // pages from a file may not use it everywhere
+    } catch { // some browsers do not permit the clipboard to pages from a file
       const range = document.createRange();
       range.selectNodeContents(text);
       getSelection().removeAllRanges();

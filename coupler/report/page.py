@@ -238,8 +238,8 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) 
     figures["depth-stress"] = charts.stress_with_depth(last, span)
     places = "".join(page.chart(name, figure) for name, figure in figures.items())
     caption = (
-        "On the vertical line through the middle of the splat, from its top into the substrate. The gap in each line is the interface; "
-        "the dashed line is the undeformed surface. Normal stresses are those of the last time; tension is positive."
+        "Values on the vertical line through the middle of the splat, from its top down. The gap in each curve is the "
+        "interface; the dashed line is the undeformed surface. Normal stresses: at the last time; tension is positive."
     )
     colours = charts.shades(profile.time for profile in lines)
     key = "".join(f'<span><i style="background:{c}"></i>{time * 1e9:.1f} ns</span>' for time, c in colours.items())

@@ -14,8 +14,8 @@ from ..measures import PROPERTIES, measure
 from . import words
 from .words import Line, brief, columns, errors_of, impacts, plain, shown, span, table_lines
 
-FRONT_ROWS = 8  # particles on the first sheet
-SIDE_BY_SIDE = 6  # impacts
+FRONT_ROWS = 8  # most particles in the first section of the page
+SIDE_BY_SIDE = 6  # most impacts that are columns of one table
 # Constants of a material: name, meaning, factor from SI to the display unit, unit.
 CONSTANTS = (
     ("rho", "density", 1.0, "kg/m³"),
@@ -120,7 +120,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
     """Results of the closing stage, and the lines of `coating` about stress."""
     closing, lines = summary.get("closing", {}), [c for c in coating if "stress" in c[0] or c[0] == "measured"]
     for key, label in (
-        ("T_max_before_K", "highest temperature before cooling to ambient"), ("ambient_K", "ambient"),
+        ("T_max_before_K", "highest temperature before cooling to ambient"), ("ambient_K", "ambient temperature"),
         ("overlap_m", "deepest overlap of bodies"),
     ):  # fmt: skip
         if key in closing:
@@ -195,7 +195,7 @@ def _resolution(plan: Values, summary: Summary) -> list[str]:
     ends = [f"{n:,}".replace(",", " ") for n in sorted({min(points), max(points)})]
     size = plan["target"]["element_size"]
     return [
-        f"{' to '.join(ends)} points {'a particle ' if len(points) > 1 else ''}of {span([1e6 * s for s in spacings])} µm",
+        f"{' to '.join(ends)} points{' each' * (len(points) > 1)}, spacing {span([1e6 * s for s in spacings])} µm",
         f"elements of {1e6 * size:.3g} µm in the substrate",
     ]
 

@@ -70,8 +70,8 @@ class CrossSection:
 
     time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
     (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
-    substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels over `extent`, the
-    particle; phases: names of the materials, to whose indices PHASE gives values and pixels; empty if the particles are of one.
+    substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels of the
+    particle over `extent`; phases: names of the materials, whose indices are the values of PHASE; empty if the particles are of one.
     """
 
     time: float

@@ -63,7 +63,7 @@ def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list
     height, leaves it at the second, and so on. points (n, 3) m; triangles (m, 3)."""
     ends, _ = crossing(points, section_of_triangles(points, triangles, y), y)
     (x0, z0), (x1, z1) = ends[:, 0].T, ends[:, 1].T
-    # A corner belongs to one side: of the segments that meet at it, an even number is crossed
+    # A corner on the line counts as right of it: thus the line crosses a closed outline an even number of times
     crossed = (x0 >= x) != (x1 >= x)
     z = z0[crossed] + ((x - x0) * (z1 - z0))[crossed] / (x1 - x0)[crossed]
     return sorted(z.tolist())

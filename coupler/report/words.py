@@ -61,7 +61,7 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """The values of each column by its heading: the last impact at its greatest deformation; at its end, with all others."""
+    """The values of each column by its heading: the last impact at its greatest deformation; at its end, with all other values."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))

@@ -42,7 +42,7 @@ SIZE_FORMS = (
     '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file with sizes'
 )
 _TEXTS = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 3}
-#: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the name of a sizer's file.
+#: Sizes of a powder by mass: two diameters (m) of sieves, or D10, D50 and D90 (m), or the file of a particle-size analyser.
 PowderSizes = Annotated[
     tuple[float, ...] | str,
     BeforeValidator(_read_sizes),

@@ -13,7 +13,7 @@ _Length = Annotated[float, Quantity("um", "0.1 um", "2000 um")]
 
 
 class Straight(Section):
-    """A straight shape of the surface through its axis. direction (rad): from x, across a groove, up a step or a slope."""
+    """A straight shape of the surface through the axis. direction (rad), from x: across a groove, or up a step or slope."""
 
     direction: Annotated[float, Quantity("deg", "-180 deg", "180 deg")] = 0.0
 

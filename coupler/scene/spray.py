@@ -38,7 +38,7 @@ class GunPath(Section):
 
     feed_rate (kg/s): feed rate of the powder; spot (m): diameter of the spray spot; traverse_speed (m/s): speed of the gun.
     distribution: mass flow over the spot, "uniform", "gaussian" or the name of a .csv file. passes: number of lines, None: the gun does
-    not move, and the particles have the mean rate over the spot. step: distance of two lines in x, None: all passes are on one line.
+    not move, and particles arrive at the mean rate over the spot. step: distance of two lines in x, None: all passes are on one line.
     first: x of the first line, None: the lines are centred about 0. length: length of each line, with y = 0 in its middle. angle (rad):
     angle of the gun to the surface normal, in the plane of x and z; the particles fly to +x.
     """

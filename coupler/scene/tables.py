@@ -9,7 +9,7 @@ from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
 from .values import DIAMETER, DWELL, PORE_DIAMETER, POROSITY, VELOCITY, Quantity, Section, Temperature, check_pores
 
-MASS_SCALING = 0.05  # of the next particle's mass, by which short elements may be heavier (`fe.inertia`)
+MASS_SCALING = 0.05  # greatest added mass of short elements over the mass of the next particle (`fe.inertia`)
 GROWTH = 0.35  # element size gained per unit of distance outside the refined part of the target
 
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]

@@ -33,10 +33,10 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     for head, table in tables:
         lines += ["", head]
         if head == "[gas]":
-            lines.append("# has no effect while the particle has velocity and temperature: delete them to use it")
+            lines.append("# has no effect while the particle has velocity and temperature: delete these to use [gas]")
         if head == "[coating]":
             lines.append(
-                "# has no effect while there are tables [[particle]], which were made of it: delete them to use it"
+                "# has no effect while there are tables [[particle]], made from it: delete these to use [coating]"
             )
         defaults = derived(head, table)
         for field, value in table:

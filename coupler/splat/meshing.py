@@ -23,12 +23,12 @@ from .cloud import Cloud, Report
 T = TypeVar("T")
 TIME_LIMIT = 120.0  # s, of gmsh in one attempt
 MIN_GAMMA = 0.05  # smallest quality of an element (`quality.gamma`)
-MIN_STEP_LENGTH = 0.05  # smallest step length of an element over the element size; regular tetrahedra have about 0.4
+MIN_STEP_LENGTH = 0.05  # smallest `quality.step_lengths` divided by the element size; regular tetrahedra have about 0.4
 MAX_VOLUME_ERROR = 0.01  # relative
-SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing over element size
+SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing lengths divided by the element size
 # cells of the grid along an edge of an element, and largest number of cells in total: more take time and do not change the result
 CELLS, MAX_CELLS = 6, 2e6
-POINT_SMOOTHING = 0.6  # smallest smoothing of a cloud, in spacings: with less single points are visible
+POINT_SMOOTHING = 0.6  # smallest smoothing length of a cloud, in spacings: with a smaller one single points are visible
 MIN_VOID = 30  # spacing^3: smaller voids and fragments are noise
 MAX_OFFSET = 0.25  # of an element size: largest offset of the surface to correct the volume
 # Limits of the relative difference between the volumes of carried surface and points: outside them the surface is wrong.

@@ -19,7 +19,7 @@ from .kernels import least_squares_weights
 
 NEIGHBOURS = 16  # the twelve nearest neighbours of a face-centred cubic lattice and four more
 MAX_SCALING = 0.1  # of velocities, to conserve the kinetic energy: a larger factor would amplify noise
-EXTRAPOLATION = 0.3  # of a fit, over the range of its points
+EXTRAPOLATION = 0.3  # largest excess of a fitted value beyond the range of its points, as a share of this range
 RIDGE = 0.02  # spacings: a set of points with a smaller thickness counts as a plane
 
 

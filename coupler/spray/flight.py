@@ -110,15 +110,15 @@ def fly_together(
 
         m v dv/dx = C_D rho_gas |u - v| (u - v) pi D^2 / 8,    m cp v dT/dx = Nu k pi D (T_r - T)
 
-    T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): recovery temperature (White, Viscous Fluid Flow, 1991). They start at T_feed (K)
-    with the velocity of the gas at the inlet of the nozzle. All spheres have the same steps in x, and each satisfies the tolerance of
+    T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): recovery temperature (White, Viscous Fluid Flow, 1991). The spheres start at T_feed
+    (K) with the velocity of the gas at the inlet of the nozzle. They have the same steps in x, and each satisfies the tolerance of
     the solver. Raises ColdsprayError if a flight cannot be computed.
     """
     from scipy.integrate import solve_ivp
 
     D, gas, rho, (given, c_p) = np.asarray(diameters, np.float64), flow.gas, material.rho, np.transpose(material.cp)
     columns = []
-    y = np.tile([flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D))  # sphere by sphere
+    y = np.tile([flow.inside(-flow.nozzle.converging).u, T_feed, 0.0], len(D))  # u, T, t of each sphere
     for start, stop, state in flow.pieces:
 
         def slope(x: float, y: NDArray[np.float64], state: Callable[[float], State] = state) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from .nozzles import Nozzle
 
 R_MOLAR = 8.314462618  # J/(mol K)
 T_AMBIENT = 293.15  # K, of the air around the jet
-SEPARATES = 0.4  # p over ambient pressure at which the flow separates: Summerfield, Foster & Swan (1954)
+SEPARATES = 0.4  # exit pressure over ambient pressure at which the flow separates: Summerfield, Foster & Swan (1954)
 
 
 @dataclass(frozen=True)

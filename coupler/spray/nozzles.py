@@ -28,7 +28,7 @@ _DEFAULTS: dict[str, object] = {"barrel": 0.0, "chamber": 0.0, "injection": None
 class Nozzle:
     """A nozzle of circular section, lengths in m. inlet, throat, exit: diameters; converging, diverging: lengths of the cones between
     them; chamber, barrel: lengths of the cylinders before and behind the cones. injection: position of the powder feed from the throat
-    (upstream negative), None: at the inlet of the chamber. assumed: names of the unknown lengths."""
+    (upstream negative), None: at the inlet of the chamber. assumed: text about the values that are assumed."""
 
     name: str
     inlet: float

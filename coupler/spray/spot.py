@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_RINGS, _FINE = 400, 2001  # points of tables
+_RINGS, _FINE = 400, 2001  # number of rings; points of tables
 
 Array = NDArray[np.float64]
 
@@ -39,8 +39,8 @@ class Spot:
         return float(self.radius[-1])
 
     def across(self, x: ArrayLike) -> Array:
-        """Mass of a pass per unit of width at distances x (k,) m from its line, divided by the mass of the pass, 1/m. It is a sum
-        over chords of discs."""
+        """Mass of a pass per unit of width at distances x (k,) m from its line, divided by the mass of the pass, 1/m. It is the sum
+        over rings of flow times the length of the line in the ring."""
         chords = 2.0 * np.sqrt(np.maximum(self.radius**2 - np.asarray(x, np.float64)[..., None] ** 2, 0.0))
         return np.asarray(np.diff(chords) @ self.flow, np.float64)
 
@@ -54,8 +54,8 @@ class Spot:
         return s, density, left / left[-1]
 
     def along(self, x: float, shares: Array) -> Array:
-        """Positions (k,) m of the gun on its line at which a point beside it has received the shares (k,) of its mass, 0 to 1. x:
-        distance of the point from the line, m, within the spot."""
+        """Positions (k,) m of the gun on its line at which a point has received the shares (k,), 0 to 1, of the mass that it gets
+        from the pass. x: distance of the point from the line, m, within the spot."""
         half = math.sqrt(self.reach**2 - x**2)
         y = np.linspace(-half, half, _FINE)
         middles = 0.5 * (self.radius[1:] + self.radius[:-1])

@@ -6,8 +6,8 @@ angle of impact is |b - a|, and the height h(x) grows by
 
     dh = dA g(s) (cos a + h' sin a) E(|b - a|),   tan b = h',
 
-dA: cross-section of the powder at the density of the metal. A point gets nothing if another surface lies in the beam before it: if
-s is not greater than at all points on the side of the gun. The scheme is that of Lax and Friedrichs with local speeds, monotone and of
+dA: cross-section of the powder at the density of the metal. A point is in the shade, and gets nothing, if a
+point on the side of the gun has the same or a larger s. The scheme is that of Lax and Friedrichs with local speeds, monotone and of
 first order in the width of a cell: Osher & Shu (1991), SIAM J. Numer. Anal. 28, 907. With a constant E it conserves the mass.
 """
 
@@ -79,7 +79,8 @@ class Gun:
         share = np.diff(np.interp(np.maximum.accumulate(across), s, below))
         gain = share / dx * self.efficiency_at(np.arctan(np.diff(at) / dx))
         lit = np.interp(0.5 * (across[1:] + across[:-1]), s, density, 0.0, 0.0) * (share > 0.0)
-        drift = sin * float(self.efficiency.max())  # of all points, because s depends on h: its part conserves the mass
+        # equal for all points, because s depends on h; its term conserves the mass
+        drift = sin * float(self.efficiency.max())
         sides = np.interp(np.arctan(np.diff(padded) / dx), *self._speed)
         speed = np.maximum(np.maximum(sides[1:], sides[:-1]), drift)
         fastest = float((lit * speed).max())

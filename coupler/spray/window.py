@@ -18,7 +18,7 @@ ERODES = "erodes"  # in addition to the verdicts
 OPTIMAL, EROSION = 1.5, 2.0  # velocity over critical velocity: of good coatings, and the limit of erosion
 FASTEST = 10.0  # limit of velocity over critical velocity
 CLASSES = 25  # of equal mass
-_IN_BAND = 10  # steps from the critical velocity to an end of its band
+_IN_BAND = 10  # steps from 1 to an end of the range of factors in `extremes`
 _FINE = 2000  # mass fractions at which velocities are interpolated
 
 
@@ -89,8 +89,8 @@ def spray(
 
 
 def at_impact(material: Material, base: Material | None, sizes: Sizes, fly: Fly) -> Spray:
-    """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: flights of diameters
-    (m). A ceramic has no critical velocity (NaN), and nothing of it sticks. Raises ColdsprayError if a flight cannot be computed."""
+    """A powder at impact. base: metal of the substrate, None: not considered; sizes: sizes of the powder; fly: gives flights of
+    diameters (m). A ceramic has no critical velocity (NaN), and nothing of it sticks. Raises ColdsprayError if a flight fails."""
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([sizes.diameter(u) for u in share])
     flights = fly(diameter.tolist())

@@ -335,8 +335,8 @@ def _percentiles(values: NDArray, weights: NDArray, shares: ArrayLike) -> NDArra
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
-    """Volume means of stress (Pa), strain and temperature in slices of the disc, `step` m high, at one height above the original
-    surface, from the top down.
+    """Volume means of stress (Pa), strain and temperature in slices of the disc, `step` m high and parallel to the original surface,
+    from the top down.
 
     sigma_xx, sigma_yy are in the plane of a flat surface, sigma_zz is normal to it; tension is positive. thermal_xx etc., for a cold
     coating: the part that changes of temperature cause; the impacts cause the rest. sigma_p5, sigma_p95: quantiles of (xx + yy) / 2.

@@ -48,8 +48,8 @@ def write_growth(folder: Path, rows: list[Growth]) -> None:
 
 def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> None:
     """Draw the cross-section at y = plane (m) up to `radius` m from the axis, as PNG. Colours of a cold coating:
-    strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. Of several
-    materials also these. Raises StoreError if no step is stored."""
+    strain, von Mises stress and in-plane stress. Of other coatings: strain, temperature and stress, with the last particle. A coating
+    of several materials has a panel of the materials, too. Raises StoreError if no step is stored."""
     x = np.linspace(-radius, radius, 400)
     places = np.column_stack([x, np.full(len(x), plane)])
     ground = (np.column_stack([x, splats.ground(places)]) * MICRO,)
@@ -85,7 +85,7 @@ def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
     """Draw the cross-section at y = plane (m) like an etched section under a microscope, as PNG. Returns the path. Boundaries of
     splats are dark, the boundary of the substrate is thick, closed pores are black. Blue areas are open to the outside in this plane.
-    The materials of a coating of several have different colours. radius: distance from the axis up to which the picture reaches, m."""
+    Different materials have different colours. radius: distance from the axis up to which the picture reaches, m."""
     seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)

@@ -48,7 +48,7 @@ def compute(job: Job, text: str, out: Path, time_of: Callable[[Scene], float], j
     claim_folder(out, "job", FILES)
     keep_toml(out / FILES[0], text, "job", but=["within"])
     before: Any = read_json_object(out / RECORD).get("computed_s", {}) if (out / RECORD).exists() else {}
-    usual, kind = 1.0, ""  # of a part: expected time of a round, s; its class
+    usual, kind = 1.0, ""  # expected time of one round of the current part, s; class of this part
     pace = {"Search": 1.0, "Coatings": 1.0}  # greatest ratio of time to expected time
     done, left, failed = dict[str, float](), dict[str, float](), dict[str, str]()
     found, coating = dict[Search, Bracket](), Coating({}, {})
@@ -168,7 +168,7 @@ def _assumed(job: Job) -> list[str]:
         texts.append("5 % of the powder's mass below and 5 % above the sieves, log-normal between them")
     angle, has_ceramic = math.degrees(track.angle), any(powder.metal.is_ceramic for powder in job.powders.values())
     oblique = f"gun at {angle:.3g} degrees: bonds are those of the oblique impact; the formula uses the normal velocity"
-    blend = "after the first layer each metal hits the same metal; a coating has the share of each that sticks by the formula"
+    blend = "after the first layer each metal hits the same metal; a coating contains the part of each that sticks by the formula"
     ceramic = "a ceramic makes no bond: by the formula none stays; in a coating, particles that embed unbroken stay"
     return [
         *texts, *job.flow.notes, oblique if angle else "particles fall normal to the surface",

@@ -95,7 +95,7 @@ def _deposited(job: Job, shares: Shares) -> list[Number]:
 
 
 def _part(job: Job, stays: Mapping[str, Range] | None, name: str) -> Range | None:
-    """Mass fraction of a powder in the coating. Its least value is that beside the most of the others."""
+    """Mass fraction of a powder in the coating. Its least value: least mass of this powder beside the greatest masses of the others."""
     if stays is None or not sum(each[0] for each in stays.values()):
         return None
     mass = {other: [job.powders[other].table.share * x for x in each] for other, each in stays.items()}

@@ -79,7 +79,7 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
             else:
                 figure = _lines(rows, axes, quantity)
             bases = dict.fromkeys(row["substrate"] for row in maps.with_value(rows, quantity))
-            of = f": {m.label}" if surface else ""  # its panels name only the axes
+            of = f": {m.label}" if surface else ""  # the panels of a surface name only the axes
             figure.suptitle(f"{rows[0]['material']} on {', '.join(bases)}{of}", fontsize=11)
             save(figure, path)
     except StoreError as error:
@@ -103,7 +103,7 @@ def _quality(fit: Interpolation, m: Measure) -> str:
     gaps = "".join(f", all of one {measure(axis).short} {m.factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
     return (
         f"rms error leaving out one point {m.factor * fit.loo_rms:.3g}{gaps} {m.unit}".rstrip()
-        + f" (spread {m.factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band"
+        + f" (standard deviation {m.factor * fit.spread:.3g}), {fit.loo_inside:.0%} of the points inside their 95 % band"
     )
 
 

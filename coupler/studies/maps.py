@@ -228,8 +228,8 @@ class NextPoint:
 
 def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> NextPoint:
     """The next point to compute, which is not yet in `rows`. Empty for a quantity of FORMULAS, or if no point remains. The first
-    choice is the midpoint of the widest of `brackets`, then the midpoint of the two points with the widest confidence band. Without
-    an interpolation the second choice is the midpoint of the two neighbours whose values differ most."""
+    choice is the midpoint of the widest of `brackets`, then that midpoint of two points at which the confidence band is widest.
+    Without an interpolation the second choice is the midpoint of the two neighbours whose values differ most."""
     label = measure(quantity).label
     if quantity in FORMULAS:
         return NextPoint({}, f"{label} is a formula of the scene and needs no run")

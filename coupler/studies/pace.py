@@ -79,7 +79,7 @@ def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
             factor, day = measure(), date.today().isoformat()
         except (ColdsprayError, ImportError, OSError) as error:
             reason = " ".join(str(error).split())[:60]
-            return Pace(1.0, f"of another machine, because timing this one failed ({reason})")
+            return Pace(1.0, f"measured on another machine, because the measurement on this one failed ({reason})")
         with suppress(OSError, StoreError):  # the folder may be read-only
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, f"{factor:.6g} {day}\n")
@@ -87,7 +87,7 @@ def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
 
 
 def kept() -> Path:
-    """The file with the factor of this machine: name and processor of the machine and the version of the program are in its name."""
+    """The file with the factor of this machine. The file name contains name and processor of the machine and version of the program."""
     machine = f"{platform.node()} {processor()} {__version__}"
     return user_folder() / f"pace_{re.sub(r'[^A-Za-z0-9.]+', '_', machine)}.txt"
 

@@ -92,7 +92,7 @@ def run_points(
             log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}{after}")
     except BaseException:
         with contextlib.suppress(Exception), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Parsl warns that it cannot cancel a run: its jobs are cancelled
+            warnings.simplefilter("ignore")  # Parsl warns that it cannot cancel a run, but its jobs are cancelled
             pool.shutdown(wait=False, cancel_futures=True)
         for run in list(_running):
             run.terminate()  # it writes a checkpoint
@@ -143,9 +143,9 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def compute(scene: Path, threads: int = 1) -> dict[str, object]:
-    """Run a scene into the folder of its name, or continue the run there. Writes its status to the .json file of its name and returns
-    it: {"status": "done", "undecided" or "failed", "reason": message, "exit_code": int}. Raises InterruptedRunError, without a status,
-    if the run is stopped from outside: the next call continues it."""
+    """Run the file of a scene in the folder of the same name, or continue the run there. Writes to the .json file of the same name,
+    and returns, the status: {"status": "done", "undecided" or "failed", "reason": message, "exit_code": int}. Raises
+    InterruptedRunError, without a status, if the run is stopped from outside; the next call then continues the run."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     # a run may outlive its study for some time, if that was killed

@@ -95,7 +95,7 @@ class Columns:
         skins = [(splats.mesh.points, own, came > 0) for came, own in zip(splats.impact.tolist(), of_each, strict=True)]
         if splats.last is not None:
             skins.append((*splats.last, True))
-        points, faces, _ = skins[int(np.count_nonzero(splats.impact == 0)) - 1]  # the uppermost of the substrate
+        points, faces, _ = skins[int(np.count_nonzero(splats.impact == 0)) - 1]  # uppermost body of the substrate
         corners, upward = points[faces], area_vectors(points, faces)[:, 2] > 0.0
         near = np.hypot(corners[..., 0] - centre[0], corners[..., 1] - centre[1]).min(axis=1) <= radius
         deepest = [float(corners[upward & near, :, 2].min(initial=0.0))]
@@ -107,7 +107,7 @@ class Columns:
             self._cross(points, faces, count[int(splat)])
         layered = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16)
         solid = layered > 0
-        self.double = ((layered.sum(axis=0) > 1) & solid[1])[self.inside]  # where a crater folds no splat overlaps
+        self.double = ((layered.sum(axis=0) > 1) & solid[1])[self.inside]  # in a fold of a crater no splat overlaps
         self.splat = solid[1][self.inside]
         self.substrate = solid[0][self.inside]
         self.matter = self.splat | self.substrate

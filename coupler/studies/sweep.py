@@ -106,11 +106,11 @@ class Sweep:
             except SceneError as error:
                 refused[label], first = "; ".join(error.problems), first or error
                 problems += [line for line in error.problems if _MISWRITTEN.match(line) and line not in problems]
-            except ValueError as error:  # a key that leads nowhere
+            except ValueError as error:  # a key that does not exist
                 raise SceneError([str(error)], source) from None
         if problems:
             raise SceneError(problems, source)
-        if first is not None and len(refused) == len(scenes):  # not a point's fault
+        if first is not None and len(refused) == len(scenes):  # the fault is in what all points share
             raise SceneError([f"no point can be computed; the first: {problem}" for problem in first.problems], source)
         return cls(str(name), scenes, refused, varied, is_ensemble)
 

@@ -85,7 +85,7 @@ def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
 
 
 def _of_runs(folder: Path) -> Profile:
-    """Angles (deg) of the runs of a folder, and the share of the mass of the particles at each that sticks."""
+    """Angles (deg) of the runs of a folder, and for each angle the share of the mass of the particles that sticks."""
     rows = [
         (round(math.degrees(row["keys"]["particle.angle"]), 6), row["diameter_m"] ** 3, row["verdict"] == STICKS)
         for row in table(folder)

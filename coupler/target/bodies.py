@@ -25,7 +25,7 @@ from .placing import NEAR, placed_on
 
 # Spacings. A bonded node deeper than FOLDED in another body is checked. For a node deeper than PRESSED the contact pressure exceeds
 # 0.06 K, about the theoretical strength G / 2 pi: no bond beside the node can resist it. A node deeper than DEEPEST has not come
-# through a fold.
+# through a fold: its bonds do not change.
 FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 
@@ -60,7 +60,7 @@ class Bodies:
     placed: np.ndarray | None = None
     impact: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
     _contact: BodyContact | None = None
-    _past: ContactPast | None = None  # from which a contact continues that has not been set up yet
+    _past: ContactPast | None = None  # data from which the contact will continue, while `_contact` is None
 
     @property
     def contact(self) -> BodyContact | None:
@@ -175,7 +175,7 @@ class Bodies:
     # ---- between impacts -----------------------------------------------------------------------------------------
 
     def separate(self, which: Iterable[int]) -> None:
-        """Prepare bodies at rest that overlap, in pairs with one body of `which`, for `reduce_overlap`, which pushes them apart.
+        """Prepare overlapping bodies at rest for `reduce_overlap`, which pushes them apart. Only pairs with one body of `which` count.
 
         Nodes that lie in another body without a contact get one. Three kinds of bonds change:
 

@@ -1,8 +1,8 @@
 """Sub-domains of the target: an impact is computed on the part of the bodies around its point of impact, which is then put back.
 
 A sub-domain contains the elements with a node within a radius of the point of impact, whole splats, and a rim around them. The window
-of the impact (`fe.window`) has the same radius: nodes at its edge and in the rim do not move, so that the impact has the same numbers
-as in the full domain. Nothing outside the radius changes. Sub-domains more than an element apart are independent.
+of the impact (`fe.window`) has the same radius: nodes beyond its edge do not move, so that the impact has the same numbers as in the
+full domain. Elements outside the radius do not change. Sub-domains more than an element apart are independent.
 """
 
 from collections.abc import Sequence
@@ -51,8 +51,8 @@ def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
     inside = reach < radius
     touched = np.zeros(len(x), bool)
     touched[conn[inside]] = True
-    # the rim contains all nodes with a bond to, or a contact with, a node inside, and all elements around nodes as near as any
-    # moving node
+    # the rim contains all nodes that have a bond or a contact with a node inside, and all elements around nodes that are not farther
+    # away than the farthest moving node
     facets = x[t.mesh.facets[touched[t.mesh.facets].any(axis=1)]]
     longest = float(np.linalg.norm(facets - np.roll(facets, 1, axis=1), axis=2).max(initial=0.0))
     rim = max(1.5 * longest, float(distance[touched].max(initial=0.0)) - radius)
@@ -158,7 +158,7 @@ def _bonds(
 ) -> Bond | None:
     """Bonds of the full domain that no impact can change, and bonds of the parts that their impacts can change. parts: each with
     the index (p,) of each node in the full domain, and the mask of the nodes that its impact can change; stored, dissipated (J):
-    energies of bonds in the impacts of the parts."""
+    changes of the energies of bonds in the impacts of the parts."""
     bonds = list[Bond]()
     if (bond := whole.bond) is not None:
         stored, dissipated = stored + bond.stored, dissipated + bond.dissipated

@@ -4,8 +4,8 @@ With real masses a few crushed elements would limit the time step. Here each ele
 of all others: the number of steps does not depend on element sizes. A coarse grid moves whole regions at once (`fe.coarse`): the
 number of steps does not depend on the number of elements across the bodies. The damping is critical for the lowest frequency in
 motion, which a Rayleigh quotient of forces and velocities gives in each step (Underwood 1983, in Belytschko & Hughes, Computational
-methods for transient analysis, section 5.5). For a higher accuracy (`Aim`) it is later limited to that of the slowest motion: thin
-rims of splats are slower than any motion of the grid. Stresses, flow, bonds, contact and friction are those of the explicit solver.
+methods for transient analysis, section 5.5). For a higher accuracy (`Aim`) the damping is later limited to the critical one of the
+slowest motion, that of thin rims of splats. Stresses, flow, bonds, contact and friction are those of the explicit solver.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from .bodies import Bodies
 RELAX_STEP = 1e-10  # s: about a real step, so that strain rates are about those of the real motion
 SEARCH_EVERY = 10  # steps
 SLACK = 0.1  # edges of the smallest element: motion of surfaces between two searches in addition to that by their velocities
-LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical damping of the step itself
+LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # dt times the frequency for which the damping is critical
 # About the critical damping of the slowest motion: more damping slows it down, and faster motions decay equally fast with this.
 SLOW_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most

@@ -17,9 +17,9 @@ from .domain import BodyState
 NEAR = 0.6  # element sizes: surfaces closer than this are in contact when a splat joins
 CLEAR, ROUNDS = 0.02, 6  # element sizes: largest remaining overlap of a new splat; number of attempts to remove it
 MOVED_EDGES = 6  # edges: largest distance of nodes that move with the displaced ones
-LEAST_QUALITY = 0.1  # smallest volume of a tetrahedron after a displacement, over its volume before
-FITTED_VOLUME = 0.01  # relative change of a splat's volume that its density corrects; a larger one is corrected at its free surface ...
-MOST_OFFSET = 0.25  # ... by an offset of at most this part of an element size
+LEAST_QUALITY = 0.1  # smallest volume of a tetrahedron after a displacement, divided by its volume before
+FITTED_VOLUME = 0.01  # relative change of a splat's volume that its density corrects; else the free surface is moved
+MOST_OFFSET = 0.25  # element sizes: largest such motion of the free surface
 LOST_VOLUME = 0.05  # largest relative change of a splat's volume after the correction
 
 

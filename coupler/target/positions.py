@@ -31,7 +31,7 @@ def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarra
 def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
     """Points of impact (x, y, z) m, where the vertical axis of each particle at an offset (m) crosses the surface."""
     t = bodies.target
-    if bodies.is_flat:  # rays need not be loaded
+    if bodies.is_flat:  # no ray casting, whose library takes time to load
         return [(*offset, 0.0) for offset in offsets]
     z = heights_at(np.array(offsets), t.nodes.x, t.mesh.facets[bodies.reachable()])
     return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]

@@ -68,7 +68,7 @@ def test_many_particles_with_one_mistake_are_told_once() -> None:
     text = COATING.format(more="").replace("number = 4", "number = 200").replace('"10 um"', '"2000 um"')
     told = problems(text)
     assert len(told) < 12
-    assert told[-1].endswith("more of other particles")
+    assert told[-1].endswith("more problems of other particles")
 
 
 def test_hot_particles_are_told_in_one_line() -> None:

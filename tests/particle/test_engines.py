@@ -198,10 +198,10 @@ def test_the_same_point_fails_in_the_same_step(pair: Callable[..., tuple[Particl
             p.run(1, DT, lambda: None)
 
     for p in particles:
-        with pytest.raises(SolverError, match=r"distorted beyond|not a finite number") as error:
+        with pytest.raises(SolverError, match=r"volume ratio|not a finite number") as error:
             go(p)
         said.append(str(error.value))
-    assert "distorted beyond" in said[1]
+    assert "volume ratio" in said[1]
     assert particles[0].steps == particles[1].steps
     assert rate < 0.0 or said[0] == said[1]
 

@@ -284,7 +284,7 @@ def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) 
     arguments = ("run", str(scene), "--out", str(tmp_path / "out"), "--quiet")
     code, _, err = finish(start(3, *arguments, code=PATCHED.format(rank=1, patch=patch.strip())), timeout=120)
     assert code == 3
-    assert "is distorted beyond the range of the kernel" in err
+    assert "its volume ratio is outside the range 0.2 to 2" in err
 
 
 def test_a_rank_that_dies_takes_the_others_along(on_two: Path) -> None:
