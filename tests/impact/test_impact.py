@@ -193,7 +193,7 @@ def test_whole_run_through_the_command_line(tmp_path: Path, capsys: pytest.Captu
     assert "ns" in done.stderr  # plain progress lines where there is no terminal
     log = (tmp_path / "out" / "run.log").read_text()
     for words in (
-        "coldspray run",
+        "python -m coupler run",
         "thermal_softening",
         "meshing the target",
         "remaining kinetic energy",

@@ -418,7 +418,7 @@ def test_several_particles_end_cold_and_one_at_rest():
 
 def test_a_long_sequence_is_not_listed_to_its_end():
     text = describe(plan(several(*[{"diameter": "10 um"}] * 40, preset="draft")))
-    assert text.count("impact ") == 12
+    assert text.count("\n  impact ") == 12
     assert "... and 28 more" in text
 
 

@@ -102,7 +102,7 @@ def test_the_pace_is_timed_once_and_remembered(tmp_path, monkeypatch):
     pace.kept().write_text("3.0")
     broken = pace.of_this_machine(fails)
     assert broken.factor == 1.0
-    assert "timing this one failed (it broke)" in broken.source
+    assert "on this one failed (it broke)" in broken.source
 
 
 def test_the_factor_carries_the_constants_to_another_machine():
