@@ -12,9 +12,13 @@ from pathlib import Path
 from numba import njit
 from numba.core import event
 
-__all__ = ["LOCK", "njit"]
+__all__ = ["LOCK", "njit", "uncounted"]
 
 LOCK = "lock"  # file in the folder of the kernels
+
+#: Decorator of kernels that loops call for each row, and that make and return no array: they do not count references to the arrays of
+#: their arguments. Threads wait for each other to count, and for many arrays it takes longer than the arithmetic of a row.
+uncounted = njit(cache=True, nogil=True, _nrt=False)  # type: ignore[call-overload]  # an option that numba does not document
 
 
 class _Lock(event.Listener):

@@ -4,7 +4,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from ..compiling import njit
+from ..compiling import njit, uncounted
 from ..core.arrays import Bools, Faces, Floats, Ints
 from ..geometry.vector_kernels import area_vector, from_foot
 from .broad import box_of
@@ -63,7 +63,7 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
     return u * u + v * v + w * w
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _closest_of(
     p: Floats, body: int, but: int, first: int, among: Ints, faces: Faces, x: Floats, reach: float, shift: float
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
@@ -116,7 +116,7 @@ def closest(points: Floats, c: Candidates, faces: Faces, x: Floats, face: Ints, 
         gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
     """The body with the smallest index above `after` that has a face in `among` near p; ANY if there is none. reach: square of the
     largest distance between p and the box of the face, m2."""
@@ -147,7 +147,7 @@ def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
     return several
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def closest_faces(
     i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, proj: Projections
 ) -> None:

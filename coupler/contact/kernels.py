@@ -5,7 +5,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiling import njit
+from ..compiling import njit, uncounted
 from ..core.arrays import Bools, Faces, Floats, Histories, History, Ints, Vector
 from ..core.loops import ranges
 from ..geometry.vector_kernels import add, area_vector, from_foot
@@ -136,7 +136,7 @@ def ignored_depth(deep: float, before: float, moved: float, ignored: float) -> f
     return max(ignored, deep - max(before - ignored + moved, 0.0))
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _update_history(
     i: int, k: float, limit: float, moved: float, before: float, proj: Projections, faces: Faces, h: History, lost: Floats
 ) -> None:  # fmt: skip
@@ -184,7 +184,7 @@ def _update_history(
             lost[1] += max(stored(k, h.depth[1], 0.0) - left, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def project(
     team: Ints, rows: Ints, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion, proj: Projections,
     history: Histories, lost: Floats,
@@ -227,7 +227,7 @@ def _normal(p: Floats, A: Floats, B: Floats, C: Floats, foot: Floats, gap: float
     return n0 * scale, n1 * scale, n2 * scale
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _friction(
     i: int, dt: float, mu: float, pen: float, normal: Vector, points: Points, nodes: Nodes, t: Ints, proj: Projections, h: History,
     couple: Floats,
@@ -281,7 +281,7 @@ def _friction(
     return g0, g1, g2, heat
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _push(
     q: int,
     dt: float,
@@ -327,7 +327,7 @@ def _push(
         force[body, 0], force[body, 1], force[body, 2] = f0, f1, f2
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def contact_forces(
     team: Ints, dt: float, constants: Constants, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion,
     proj: Projections, history: Histories, pushes: Pushes, sums: Floats,
