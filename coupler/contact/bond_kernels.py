@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiling import njit
+from ..compiling import njit, uncounted
 from ..core.arrays import Bools, Floats, Ints, Vector
 from ..geometry.vector_kernels import add, area_vector, cross, from_foot
 
@@ -120,7 +120,7 @@ def yielding(
     return soft_n * dl / (1.0 + soft_n * dl), soft_s * dl / (1.0 + soft_s * dl), softened
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def bond_forces(
     xp: Floats, x: Floats, b: Ties, depth: Floats, active: int, f_point: Floats, f: Floats
 ) -> tuple[float, float]:  # fmt: skip

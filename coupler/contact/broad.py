@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from ..compiling import njit
+from ..compiling import njit, uncounted
 from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
 from ..core.threads import together
@@ -106,21 +106,25 @@ class _Pairing(NamedTuple):
     members: Ints
 
 
-@njit(cache=True, nogil=True)
+@uncounted
+def _cells(r: int, d: int, p: _Pairing) -> tuple[int, int]:
+    """First and last cell in direction d whose points can have box r within their reach; last < first if there is none."""
+    start, stop = p.low[r, d] - p.most - p.origin[d], p.high[r, d] + p.most - p.origin[d]
+    return max(int(start / p.cell), 0), min(int(stop / p.cell), p.shape[d] - 1) if stop >= 0.0 else -1
+
+
+@uncounted
 def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
     """Count the points of other bodies that have box r within their reach. Write their indices to `found` from index `at` on, if
     there is room."""
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    for d in range(3):
-        start, stop = p.low[r, d] - p.most - p.origin[d], p.high[r, d] + p.most - p.origin[d]
-        if stop < 0.0 or start > p.shape[d] * p.cell:
-            return 0
-        first[d], last[d] = max(int(start / p.cell), 0), min(int(stop / p.cell), p.shape[d] - 1)
+    (a0, a1), (b0, b1), (c0, c1) = _cells(r, 0, p), _cells(r, 1, p), _cells(r, 2, p)
+    if a1 < a0 or b1 < b0 or c1 < c0:
+        return 0
     pairs = 0
-    for a in range(first[0], last[0] + 1):
-        for b in range(first[1], last[1] + 1):
+    for a in range(a0, a1 + 1):
+        for b in range(b0, b1 + 1):
             base = (a * p.shape[1] + b) * p.shape[2]
-            for q in range(p.begin[base + first[2]], p.begin[base + last[2] + 1]):
+            for q in range(p.begin[base + c0], p.begin[base + c1 + 1]):
                 i = p.members[q]
                 x, far = p.points[i], p.reach[i]
                 if (
@@ -135,7 +139,7 @@ def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def _points_of_boxes(team: Ints, p: _Pairing, count: Ints, first: Ints, found: Ints) -> None:
     """Do `_points_of_box` for all boxes, in all threads. Writes the results to count (k,); first (k,): first index in `found` for
     each box."""

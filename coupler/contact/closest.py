@@ -129,7 +129,7 @@ def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -
     return found
 
 
-@njit(cache=True, nogil=True)
+@uncounted
 def several_bodies(i: int, c: Candidates, faces: Faces) -> bool:
     """Whether the candidates of point i belong to more than one body."""
     among, several = c.face[c.start[i] : c.start[i + 1]], False
