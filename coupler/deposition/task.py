@@ -81,7 +81,7 @@ class TaskFiles:
 
 @contextmanager
 def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
-    """Context with the files of a task in its own folder."""
+    """Context manager: the files of a task, in the folder of this task."""
     kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
     with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
         if kept is not None:
@@ -151,7 +151,7 @@ def run_alone(
 
 def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
     """Prepare bodies at rest for impact i, so that its cost does not grow with the number of earlier impacts. place: impact point, m,
-    from which the bodies are numbered outwards. Returns entries of the report.
+    from which nodes and elements are numbered outwards. Returns entries of the report.
 
     A few strongly deformed elements of splats would determine the time step of all later impacts: inertia is added to their
     deformation (`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact

@@ -70,7 +70,7 @@ def edge_cofactors(
 
 @njit(cache=True, nogil=True, inline="always")
 def _nine(rows: Floats, i: int) -> Matrix:
-    """The matrix, row by row, in column i of nine rows (9,BLOCK)."""
+    """The 3 x 3 matrix in column i of `rows` (9,BLOCK), its entries in the order 00 01 02 10 ..."""
     return rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
 
 

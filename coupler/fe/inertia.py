@@ -108,8 +108,8 @@ class ElementInertia(InertiaState):
 
 
 def step_for(mass: np.ndarray, safe: np.ndarray, most: float, enough: float) -> float:
-    """The largest stable step (s), at most `enough`, of elements with an added mass of `most` kg. mass (m,) kg, safe (m,) s: masses
-    and own steps of the elements.
+    """The largest stable step (s), at most `enough`, of elements that get `most` kg of added mass in total. mass (m,) kg,
+    safe (m,) s: masses and own steps of the elements.
 
     An element of mass m and step t is stable with the step T if its mass is m (T / t)^2. T follows from T^2 sum m / t^2 - sum m =
     most, summed over elements with t < T.

@@ -112,7 +112,7 @@ class Store:
         with _named(path):
             if state and len(state.history):
                 if state.history.shape[1] != len(state.columns):
-                    raise unfit("history.csv has other columns")
+                    raise unfit("history.csv has another number of columns than of names")
                 self._columns = list(state.columns)
                 self._rows = array("d", state.history.ravel().tobytes())
                 write_text(path, "".join(map(_line, [self._columns, *state.history])))

@@ -33,8 +33,8 @@ def stress_points(
 ) -> int:  # fmt: skip
     """As `compiled_kernels.stress_points`, but with residuals. The strain increment follows from U at n and n+1, not from v.
 
-    Deviator and residuals form one yield condition and return to it by one factor. The forces of the sides are those of the
-    residuals, the stress, and a skew stress against the moment of the residuals. `particle.blocks` computes all but the plastic flow.
+    Deviator and residuals enter one yield condition, and one factor returns both to it. The forces of the sides come from the
+    residuals, the stress, and a skew stress that balances their moment. `particle.blocks` computes all but the plastic flow.
     """
     failed = -1
     w = np.zeros((ROWS, BLOCK))

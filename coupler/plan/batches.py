@@ -60,9 +60,9 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
     """An order of the impacts that allows large batches, as indices of the impacts. An impact moves to a later batch if its window is
-    far enough from the windows of this batch, and its splat cannot overlap the splats of the impacts in between. Thus splats that may
-    overlap keep their order. The last batch is filled first, then the one before it, because a pause costs more computing time on a
-    higher coating."""
+    far enough from the windows of that later batch, and its splat cannot overlap the splats of the impacts in between. Thus splats
+    that may overlap keep their order. Batches are filled from the last one back: so there are few pauses on the high coating, where
+    a pause takes the most computing time."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()

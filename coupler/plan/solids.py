@@ -30,7 +30,7 @@ def _loaded(path: Path, changed: int) -> Solid:
 
 
 def form_of(solid: Solid) -> Form:
-    """Extents, corners and mean thickness 2 V / A of a solid, scaled to diameter 1."""
+    """Extents, corners and mean thickness 2 V / A of a solid, scaled to the volume of a sphere of diameter 1."""
     x = solid.points
     hull = x[ConvexHull(x).vertices]
     a, b, c = np.ptp(x, axis=0).tolist()

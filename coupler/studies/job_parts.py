@@ -87,7 +87,7 @@ def search(job: Job, part: Search, out: Path, jobs: int, log: Log, more: Callabl
 
 
 def bonds(job: Job, found: Mapping[Search, Bracket]) -> dict[tuple[str, str], Bonds]:
-    """Critical velocity of each powder on each metal with its errors, by both names. found: brackets of all searches."""
+    """Critical velocity with its errors, for each pair of names (powder, metal). found: brackets of all searches."""
     known = {}
     for powder, base in job.hits:
         of_pair = {part: each for part, each in found.items() if (part.powder, part.base) == (powder, base)}

@@ -104,7 +104,7 @@ class Bodies:
 
     def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
         """Find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach in `time` s, and do
-        `release_heat`. by_speed: slow surfaces move less than `travel`."""
+        `release_heat`. by_speed: a slow surface counts with a part of `travel`."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.nodes.v if by_speed else None
