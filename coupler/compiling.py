@@ -16,8 +16,8 @@ __all__ = ["LOCK", "njit", "uncounted"]
 
 LOCK = "lock"  # file in the folder of the kernels
 
-#: Decorator of kernels that loops call for each row, and that make and return no array: they do not count references to the arrays of
-#: their arguments. Threads wait for each other to count, and for many arrays it takes longer than the arithmetic of a row.
+#: Decorator of kernels that get tables of arrays in loops over rows. They do not count references to these arrays: threads wait for
+#: each other to count, and for many arrays it takes longer than the arithmetic of a row. Such a kernel may make and return no array.
 uncounted = njit(cache=True, nogil=True, _nrt=False)  # type: ignore[call-overload]  # an option that numba does not document
 
 

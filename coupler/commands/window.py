@@ -18,15 +18,7 @@ if TYPE_CHECKING:
     from ..physics.materials import Material
     from ..spray.window import Spray
 
-COLUMNS = (
-    "share",
-    "diameter_um",
-    "velocity_m_s",
-    "temperature_K",
-    "critical_velocity_m_s",
-    "velocity_ratio",
-    "version",
-)
+COLUMNS = "share", "diameter_um", "velocity_m_s", "temperature_K", "critical_velocity_m_s", "velocity_ratio", "version"
 
 
 def add(commands: Commands) -> None:

@@ -9,7 +9,7 @@ and checkpoints contain it. `copied` and `put` save and restore all fields, also
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
-from typing import Any, Self, TypeVar, get_args, get_type_hints
+from typing import Self, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -43,11 +43,14 @@ class Rows(Shape):
     """Annotation of an array field that has a row of this shape for each node, element or point. fill: initial value.
 
     lammps: whether LAMMPS stores the array. least: lower bound of the values on a mesh made of points; None: the least value of the
-    points is the bound. kind: dtype and index_of of `Shape`.
+    points is the bound. dtype, index_of: as in `Shape`.
     """
 
-    def __init__(self, *shape: int, fill: float = 0.0, lammps: bool = False, least: float | None = None, **kind: Any):
-        super().__init__(-1, *shape, **kind)
+    def __init__(
+        self, *shape: int, dtype: DTypeLike = np.float64, fill: float = 0.0, index_of: str = "", lammps: bool = False,
+        least: float | None = None,
+    ):  # fmt: skip
+        super().__init__(-1, *shape, dtype=dtype, index_of=index_of)
         self.fill, self.lammps, self.least = fill, lammps, least
 
     def new(self, n: int) -> np.ndarray:

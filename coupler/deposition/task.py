@@ -51,8 +51,8 @@ class Task:
 @dataclass(frozen=True)
 class TaskResult:
     """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without closing stage:
-    those at its end, and an empty `joined`. record: of the impact; prepared, joined: reports of `prepare`, `join`; store: of the
-    files."""
+    the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined: reports of `prepare`
+    and `join`; store: state of the files."""
 
     bodies: BodiesState
     record: ImpactRecord
@@ -72,7 +72,8 @@ class TaskState:
 
 @dataclass(frozen=True)
 class TaskFiles:
-    """Output files of a task. kept: its last checkpoint or None; store: result files at that time; save: writes a checkpoint."""
+    """Output files of a task. kept: its last checkpoint, or None; store: result files, set back to the time of `kept`; save:
+    function that writes a checkpoint."""
 
     store: Store
     kept: TaskState | None

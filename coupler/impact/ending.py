@@ -86,7 +86,8 @@ class EndCriterion(EndState):
             self.loud = time
 
     def reached(self, time: float) -> bool:
-        """Whether the impact is over at `time` s, that of the last observation: by its criterion or time limit, or over the rim."""
+        """Whether the impact is over at `time` s, the time of the last observation: its criterion is met, its time limit is reached, or
+        the particle has slid off the target over its rim."""
         return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:

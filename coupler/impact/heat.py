@@ -51,8 +51,8 @@ def crossing(domains: Domains, time: float) -> tuple[np.ndarray, np.ndarray, np.
     """Vertices (k,) of the particle in contact, the element (k,) under each, and the heat (k,) J that the element gets in `time` s.
 
     Each pair is modelled as two heat capacities, those of a layer of the particle one spacing thick and of the vertex's part of the
-        element. Their temperatures approach each other exponentially, which is stable for any time. The thermal resistance is that of
-        the material between the contact and the places of the two temperatures.
+    element. Their temperatures approach each other exponentially, which is stable for any time. The thermal resistance is that of the
+    material between the contact and the places of the two temperatures.
     """
     particle, target, surface = domains.particle, domains.target, domains.surface
     rows, facets = domains.contact.touching(len(surface.weights.indptr) - 1)

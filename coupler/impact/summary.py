@@ -28,7 +28,8 @@ BROKEN_SHARE = 0.01
 
 @dataclass(frozen=True)
 class ImpactRecord:
-    """Entries of a finished impact in summary.json. values: in `impacts`; warnings, retries: in those lists; memory_peak: bytes."""
+    """Record of a finished impact for summary.json. values: its entry in `impacts`; warnings, retries: its entries in the lists of
+    the run; memory_peak: largest memory of all processes, bytes."""
 
     values: Values
     warnings: list[str]

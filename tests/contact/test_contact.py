@@ -1,9 +1,11 @@
 """Contact alone: conservation to rounding, energy, Coulomb's law, the search against brute force."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from coupler.contact import broad, closest
+from coupler.contact import bond_kernels, broad, closest, kernels
 from coupler.contact.contact import Contact
 from coupler.contact.law import TANGENTIAL, stiffness, stored
 from coupler.contact.model import ANY, Candidates, Nodes, Points, Projections, faces_of
@@ -391,3 +393,16 @@ def test_a_point_that_nothing_is_near_lies_outside(rng: np.random.Generator) -> 
     assert c.gap[0] < 0.0 < c.gap[1]
     assert c.depth[1] == 0.0
     assert c.sums.dropped == 0
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        kernels._push, kernels._friction, kernels._update_history, kernels.project, kernels.contact_forces,
+        closest.closest_faces, closest._closest_of, closest._next_body, closest.several_bodies,
+        broad._points_of_box, broad._points_of_boxes, bond_kernels.bond_forces,
+    ],
+)  # fmt: skip
+def test_loops_over_rows_count_no_references(kernel: Any) -> None:
+    """Counting takes more than half of the contact forces of a small particle, and no other test shows it."""
+    assert kernel.targetoptions["_nrt"] is False
