@@ -8,10 +8,11 @@ from scipy.sparse import csr_array
 
 from ..compiling import njit, uncounted
 from ..core.arrays import Floats, Ints
-from ..core.loops import ranges
+from ..core.loops import PARTS, ranges
 from ..core.threads import together
 
 LEAST_BOXES = 100  # in a range of a loop that threads share
+PAIRS = 16  # points near a box for which there is room at first; with more, the search is repeated with more room
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -140,12 +141,13 @@ def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
 
 
 @uncounted
-def _points_of_boxes(team: Ints, p: _Pairing, count: Ints, first: Ints, found: Ints) -> None:
-    """Do `_points_of_box` for all boxes, in all threads. Writes the results to count (k,); first (k,): first index in `found` for
-    each box."""
-    for lo, hi, _ in ranges(team, 0, len(count), LEAST_BOXES):
+def _points_of_boxes(team: Ints, p: _Pairing, count: Ints, used: Ints, found: Ints) -> None:
+    """Do `_points_of_box` for all boxes, in all threads. Writes the numbers of points to count (k,). found (PARTS, room): the points of
+    the boxes of each part; used (PARTS,): their number, which can be larger than the room."""
+    for lo, hi, part in ranges(team, 0, len(count), LEAST_BOXES):
         for r in range(lo, hi):
-            count[r] = _points_of_box(r, p, found, first[r])
+            count[r] = _points_of_box(r, p, found[part], used[part])
+            used[part] += count[r]
 
 
 def pairs_within(
@@ -161,12 +163,15 @@ def pairs_within(
     pairing = _Pairing(
         points, reach, own, low, high, of, cell, most, *_sorted(points, least - most, greatest + most, cell)
     )
-    count, first = np.zeros((2, len(low)), np.int64)
-    together(_points_of_boxes, pairing, count, first, np.zeros(0, np.int64))
+    count, needed, room = np.zeros(len(low), np.int64), PAIRS * max(2 * LEAST_BOXES, len(low) // PARTS + 1), 0
+    while needed > room:
+        room, used = needed, np.zeros(PARTS, np.int64)
+        found = np.empty((PARTS, room), np.int64)
+        together(_points_of_boxes, pairing, count, used, found)
+        needed = int(used.max())
+    near = np.concatenate([part[:n] for part, n in zip(found, used, strict=True)])
     first = np.append(0, np.cumsum(count))
-    found = np.empty(first[-1], np.int64)
-    together(_points_of_boxes, pairing, count, first, found)
-    by_box = csr_array((np.ones(len(found), np.int8), found, first), shape=(len(low), len(points)))
+    by_box = csr_array((np.ones(len(near), np.int8), near, first), shape=(len(low), len(points)))
     by_point = by_box.tocsc()
     return by_point.indptr.astype(np.int64), by_point.indices.astype(np.int64)
 

@@ -28,6 +28,7 @@ from .model import (
     motion,
     new_history,
 )
+from .searches import Searches, own_travel, valid_searches
 
 LEAST_POINTS = 4000  # in a range of a shared loop
 JUMP = 0.2  # spacings: twice the motion in one step of a particle with a quarter of the speed of sound
@@ -54,22 +55,6 @@ class ContactState:
     heat_point: Annotated[np.ndarray, Shape(-1)]
     heat_face: Annotated[np.ndarray, Shape(-1)]
     sums: ContactSums = field(default_factory=ContactSums)
-
-
-@dataclass
-class _Search:
-    """Data of the last search of one body's points.
-
-    reach (m): the search is valid while points and faces have moved less than this relative to each other; known (k,): mask of near
-    faces among `facing` of the body; nodes: nodes of these faces; node_x, point_x: positions (m) of these nodes and of the body's
-    points at the search.
-    """
-
-    known: np.ndarray
-    reach: float = -np.inf
-    nodes: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    node_x: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    point_x: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 class Contact(ContactState):
@@ -104,9 +89,7 @@ class Contact(ContactState):
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
         self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
-        # the search of each body is valid while at most this number of nodes moves
-        self._active = np.full(bodies, np.inf)
-        self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
+        self._searches = Searches.none_yet(self.bounds, self.facing)
 
     @property
     def depth(self) -> Floats:
@@ -136,8 +119,7 @@ class Contact(ContactState):
 
     def expire(self, which: np.ndarray | slice = slice(None)) -> None:
         """Make the next `search` list new candidates for all bodies that own points of a mask (n,); default: all bodies."""
-        for body in np.unique(self.points.owner[which]):
-            self._searches[body].reach = -np.inf
+        self._searches.reach[self.points.owner[which]] = -np.inf
 
     def stable_dt(self, softness: float, lightest: float, body: int = 0) -> float:
         """Stable time step (s) of the springs between points of a body and nodes. softness: inverse mass of a point, 1/kg;
@@ -169,69 +151,48 @@ class Contact(ContactState):
         # the travel of the faces restarts from zero
         self._projections.clearance[self.rows] -= self._motion.travel[self.points.owner[self.rows]]
         self._motion.travel[:] = 0.0
-        part = None
+        part = np.ones(len(x))
         if v is not None and (fastest := float((speed := np.sqrt(np.einsum("ij,ij->i", v, v))).max(initial=0.0))) > 0.0:
             part = speed / fastest
-        due = [body for body in range(len(self.spacing)) if not self._is_valid(body, x, travel, part, active)]
-        if due:
+        valid = np.zeros(len(self.spacing), bool)
+        together(valid_searches, travel, part, active, self.spacing, x, self.points, self.faces, self._searches, valid)
+        due: Ints = np.flatnonzero(~valid)
+        if len(due):
             self._find(due, self._start(due, x, travel, part), always, active, x)
             owner, bodies = self.points.owner, len(self.spacing)
             nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
             self._motion = motion(*nodes, x)
-        return bool(due)
+        return len(due) > 0
 
-    def _own_travel(self, body: int, travel: float, part: Floats | None) -> float:
-        """Largest displacement (m) of a body relative to the faces near it. part (N,): speed of each node divided by the largest
-        speed, None if it is not known; the fastest node moves travel / 2, m."""
-        if part is None:
-            return travel
-        own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
-        both = part[own].max(initial=0.0) + part[self._searches[body].nodes].max(initial=0.0)
-        return travel * min(1.0, float(both))
-
-    def _is_valid(self, body: int, x: Floats, travel: float, part: Floats | None, active: int) -> bool:
-        """Whether the last search of a body stays valid and no other face can come near while surfaces move by `travel` m."""
-        s, own = self._searches[body], self._own_travel(body, travel, part)
-        if active > self._active[body] or s.reach <= own:
-            return False
-        here = slice(self.bounds[body], self.bounds[body + 1])
-        moved = self.points.x[here] - s.point_x, x[s.nodes] - s.node_x
-        if own + sum(np.sqrt(np.einsum("ij,ij->i", m, m).max(initial=0.0)) for m in moved) > s.reach:
-            return False
-        others = self.facing[body][~s.known]
-        return len(self._around(body, others, 0.5 * float(self.spacing[body]) + travel)) == 0
-
-    def _around(self, body: int, ids: Ints, margin: float) -> Ints:
-        """Indices of the faces among `ids` whose boxes lie within `margin` m of the bounding box of a body's points."""
+    def _around(self, body: int, margin: float) -> Ints:
+        """The faces of `facing` whose boxes lie within `margin` m of the bounding box of a body's points."""
         own, found = self.points.x[self.bounds[body] : self.bounds[body + 1]], list[tuple[Floats, Floats]]()
         share(lambda lo, hi: found.append(broad.bounds(own[lo:hi], own[lo:hi])), len(own), LEAST_POINTS)
         least, most = np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
-        return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
+        low, high = self.faces["low"], self.faces["high"]
+        return broad.boxes_within(low, high, self.facing[body], least - margin, most + margin)
 
-    def _start(self, due: Sequence[int], x: Floats, travel: float, part: Floats | None) -> Floats:
+    def _start(self, due: Ints, x: Floats, travel: float, part: Floats) -> Floats:
         """Start the searches of the bodies `due`. Returns for each body the relative displacement (bodies,) m of points and faces up
         to which its search is valid."""
-        far = np.zeros(len(self.spacing))
+        far, near = (
+            np.zeros(len(self.spacing)),
+            {body: self._around(body, self.spacing[body] + 2.0 * travel) for body in due},
+        )
+        s = self._searches = self._searches.begun(near, self.faces, self.points.x, x)
         for body in due:
-            s, spacing = self._searches[body], float(self.spacing[body])
-            near = self._around(body, self.facing[body], spacing + 2.0 * travel)
-            s.known = np.isin(self.facing[body], near, assume_unique=True)
-            s.nodes = occurring(self.faces["nodes"][near], len(x))
-            far[body], self._active[body] = self._own_travel(body, travel, part) + self._skin * spacing, np.inf
+            far[body] = own_travel(body, travel, part, self.points, s) + self._skin * self.spacing[body]
             if self._skin > 0.0:
-                s.reach, s.node_x = float(far[body]), x[s.nodes]
-                s.point_x = self.points.x[self.bounds[body] : self.bounds[body + 1]].copy()
+                s.reach[body] = far[body]
         return far
 
-    def _find(
-        self, bodies: Sequence[int], travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats
-    ) -> None:
+    def _find(self, bodies: Ints, travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats) -> None:
         """Find the candidate faces of all points of `bodies`. They stay valid until the points of body b have moved travel[b] m
         relative to the faces."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
         chosen = np.zeros(len(self.spacing), bool)
         chosen[bodies] = True
-        ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
+        ids = occurring(np.concatenate([self._searches.faces_near(body) for body in bodies]), len(faces))
         low, high = faces["low"][ids], faces["high"][ids]
         state, known = np.zeros(len(p.owner), np.uint8), np.zeros(len(p.owner), bool)
         known[self.rows] = True  # the gaps of the other points are not known
@@ -293,7 +254,7 @@ class Contact(ContactState):
         valid until their node, or a node of their candidates, becomes active."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
-        np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
+        np.minimum.at(self._searches.active, self.points.owner[rows[still]], least[still])
         return rows[~still], rows[still]
 
     # ---- forces --------------------------------------------------------------------------------------------------
@@ -340,7 +301,7 @@ class Contact(ContactState):
         for body in np.unique(self.points.owner[rows]):
             own = slice(self.bounds[body], self.bounds[body + 1])
             load[self.points.node[own]] += k_2[own]
-            load[self._searches[body].nodes] += 4.0 * self.stiffness[body]
+            load[self._searches.nodes_near(body)] += 4.0 * self.stiffness[body]
         twice = rows[closest.between_bodies(rows, self._candidates, self.faces)]
         load[self.points.node[twice]] += k_2[twice]
         return load

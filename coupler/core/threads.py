@@ -41,7 +41,7 @@ class Team:
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
         """Give the call work(team) to the other threads. Returns the team that the calling thread uses for its own call."""
-        team, self._next = self._next, np.zeros_like(self._next)
+        team, self._next = self._next, np.zeros(FAILED + 1, np.int64)
         for queue in self._begun:
             queue.put((work, self._next))
         return team

@@ -306,9 +306,9 @@ def test_a_search_that_is_still_valid_gives_the_forces_of_a_fresh_one() -> None:
     up, still, done = b.nodes(1), np.zeros_like(x), []
     for step in range(24):
         x[up] += [0.018, 0.004, -0.0005]
-        before = kept.pairs._searches[1].point_x
+        before = kept.pairs._searches.x[kept.pairs.bounds[1] :].copy()
         kept.search(x, 0.01)
-        done.append(kept.pairs._searches[1].point_x is not before)
+        done.append(not np.array_equal(kept.pairs._searches.x[kept.pairs.bounds[1] :], before))
         fresh.pairs.expire(np.ones(len(fresh.pairs.history), bool))
         fresh.search(x, 0.01)
         f, g = np.zeros_like(x), np.zeros_like(x)
