@@ -175,10 +175,8 @@ class Contact(ContactState):
     def _start(self, due: Ints, x: Floats, travel: float, part: Floats) -> Floats:
         """Start the searches of the bodies `due`. Returns for each body the relative displacement (bodies,) m of points and faces up
         to which its search is valid."""
-        far, near = (
-            np.zeros(len(self.spacing)),
-            {body: self._around(body, self.spacing[body] + 2.0 * travel) for body in due},
-        )
+        far = np.zeros(len(self.spacing))
+        near = {body: self._around(body, self.spacing[body] + 2.0 * travel) for body in due}
         s = self._searches = self._searches.begun(near, self.faces, self.points.x, x)
         for body in due:
             far[body] = own_travel(body, travel, part, self.points, s) + self._skin * self.spacing[body]
