@@ -140,8 +140,8 @@ class Contact(ContactState):
 
         xp (n,3), x (N,3) m: points and nodes; always: points that are always in `rows`; active: number of nodes that move, the
         first ones (default: all): a point at rest whose near faces are at rest keeps its forces and is not in `rows`; v (N,3) m/s:
-        with velocities, a slow surface moves less than `travel`. Returns whether any body has new candidates: old ones are kept
-        until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
+        velocities, if the points are nodes: a slow surface then moves less than `travel`. Returns whether any body has new
+        candidates: old ones are kept until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):

@@ -55,8 +55,8 @@ class Searches(NamedTuple):
         return self.nodes[self.first_node[body] : self.first_node[body + 1]]
 
     def begun(self, near: dict[int, Ints], faces: Faces, points: Floats, x: Floats) -> "Searches":
-        """The data after a search of some bodies, at the positions points (n,3), x (N,3) m. near: for each of these bodies, the faces
-        near its points."""
+        """The data after the start of a search of some bodies, at the positions points (n,3), x (N,3) m. near: for each of these
+        bodies, the faces near its points. The arrays of fixed length change in place; the new `reach` is -inf."""
         is_near, nodes, node_x = np.zeros(len(faces), bool), list[Ints](), list[Floats]()
         for body in range(len(self.reach)):
             if body in near:

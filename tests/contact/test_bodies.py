@@ -319,6 +319,27 @@ def test_a_search_that_is_still_valid_gives_the_forces_of_a_fresh_one() -> None:
     assert 0 < sum(done) < len(done)
 
 
+def test_a_body_at_rest_is_searched_again_when_another_body_comes_near() -> None:
+    """Neither it nor the faces near it move: only the faces that were not near at its last search end this search."""
+    block = (1.0,) * 3
+    b = Blocks(((3.0, 1.0, 1.0), 0.5, (0, 0, 0)), (block, 0.2, (0, 0, 1.0)), (block, 0.2, (1.45, 0, 1.4)))
+    kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.nodes.x.copy()
+    still = np.zeros_like(x)
+    kept.search(x, 0.055)
+    first = len(kept.pairs._searches.faces_near(1))
+    for move in [0.055] * 8 + [0.01] * 3:
+        fresh.pairs.expire()
+        for contact in (kept, fresh):
+            contact.search(x, 0.055)
+        x[b.nodes(2), 0] -= move
+        forces = np.zeros((2, *x.shape))
+        for contact, f in zip((kept, fresh), forces, strict=True):
+            contact.forces(1e-9, x, still, f)
+    assert len(kept.pairs._searches.faces_near(1)) > first
+    assert kept.pairs.depth[kept.pairs.points.owner == 1].any()
+    np.testing.assert_allclose(*forces, atol=1e-9 * np.abs(forces).max())
+
+
 def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     def start() -> tuple[Blocks, BodyContact]:
         b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
