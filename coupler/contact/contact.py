@@ -155,7 +155,9 @@ class Contact(ContactState):
         if v is not None and (fastest := float((speed := np.sqrt(np.einsum("ij,ij->i", v, v))).max(initial=0.0))) > 0.0:
             part = speed / fastest
         valid = np.zeros(len(self.spacing), bool)
-        together(valid_searches, travel, part, active, self.spacing, x, self.points, self.faces, self._searches, valid)
+        together(
+            valid_searches, travel, part, active, self.spacing, self._skin, x, self.points, self.faces, self._searches, valid,
+        )  # fmt: skip
         due: Ints = np.flatnonzero(~valid)
         if len(due):
             self._find(due, self._start(due, x, travel, part), always, active, x)
@@ -206,7 +208,8 @@ class Contact(ContactState):
         rows, still = self._moving(rows, active)
         lost = np.zeros((PARTS, 2))
         together(
-            k.project, rows, self.constants.jump, p, Nodes(x, x, x, active), self._candidates, faces, self._motion, proj, history, lost,
+            k.project, rows, self.constants.jump, p, Nodes(x, x, x, active), self._candidates, faces, self._motion, proj, history,
+            np.zeros(len(rows), bool), lost,
         )  # fmt: skip
         self._lose(lost)
         # the tenth of a spacing allows for surfaces that accelerate
@@ -228,7 +231,8 @@ class Contact(ContactState):
     def _list_pushes(self) -> None:
         """Allocate the arrays for the forces on the points `rows`."""
         force, couple, heat = (np.zeros((len(self.rows), *shape)) for shape in ((2, 3), (3, 3), (2,)))
-        self._pushes = Pushes(self.rows, force, couple, heat, self.heat_point, self.heat_face)
+        due = np.ones(len(self.rows), bool)
+        self._pushes = Pushes(self.rows, due, force, couple, heat, self.heat_point, self.heat_face)
 
     def _pairs(self, near: Ints, ids: Ints, low: Floats, high: Floats) -> tuple[Ints, Ints]:
         """Candidates (start, face) of all points: for the points `near`, the faces ids (k,) of other bodies whose boxes low, high

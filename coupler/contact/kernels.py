@@ -187,22 +187,25 @@ def _update_history(
 @uncounted
 def project(
     team: Ints, rows: Ints, jump: float, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion, proj: Projections,
-    history: Histories, lost: Floats,
+    history: Histories, due: Bools, lost: Floats,
 ) -> None:  # fmt: skip
     """Project each of the points `rows`. A point keeps its projection while its displacement plus the travel of its faces is too
     small for a contact.
 
-    jump: largest inward motion of a point in one step, in spacings; lost (PARTS,2): see `_update_history`.
+    jump: largest inward motion of a point in one step, in spacings; due (k,): set to True for projected points; lost (PARTS,2): see
+    `_update_history`.
     """
     for lo, hi, _ in ranges(team, 0, len(motion.travel), 4):
         add_travel(lo, hi, motion, nodes.x, nodes.active)
     for lo, hi, part in ranges(team, 1, len(rows), LEAST_ROWS):
-        for i in rows[lo:hi]:
+        for q in range(lo, hi):
+            i = rows[q]
             travel, margin, more = motion.travel[points.owner[i]], points.margin[i], jump * points.spacing[i]
             u, v, w = points.x[i, 0] - proj.at[i, 0], points.x[i, 1] - proj.at[i, 1], points.x[i, 2] - proj.at[i, 2]
             own, left = sqrt(u * u + v * v + w * w), proj.clearance[i] - travel
             if proj.face[i, 0] >= 0 and own <= left:
                 continue
+            due[q] = True
             h, before, moved = history[i], proj.gap[i, 0], 1e-9 * margin
             if proj.clearance[i] == -inf:  # at a search, for a point that was not in `rows`: nothing has moved since
                 before = -h.depth[0] - _ignored(h)
@@ -341,13 +344,18 @@ def contact_forces(
     change.
     """
     rows = pushes.rows
-    project(team, rows, constants.jump, points, nodes, c, faces, motion, proj, history, sums)
+    project(team, rows, constants.jump, points, nodes, c, faces, motion, proj, history, pushes.due, sums)
     for lo, hi, _ in ranges(team, 2, len(rows), LEAST_ROWS):
         for q in range(lo, hi):
-            _push(q, dt, constants, points, nodes, faces, proj, history[rows[q]], pushes)
+            if pushes.due[q]:
+                _push(q, dt, constants, points, nodes, faces, proj, history[rows[q]], pushes)
     for _ in ranges(team, 3, 1, 1):  # one thread: several points act on a node
         for q in range(len(rows)):
-            i, f, m = rows[q], pushes.force[q], pushes.couple[q]
+            if not pushes.due[q]:
+                continue
+            i, f, m, h = rows[q], pushes.force[q], pushes.couple[q], history[rows[q]]
+            # a point without springs gets no force until its next projection
+            pushes.due[q] = h.depth[0] != 0.0 or h.depth[1] != 0.0 or _squared(h) > 0.0
             sums[0, 2] += pushes.heat[q, 0]
             if pushes.heat[q, 1] != 0.0:
                 pushes.heat_face[proj.face[i, 0]] += pushes.heat[q, 1]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.arrays import Faces, Floats, Histories, Ints
+from ..core.arrays import Bools, Faces, Floats, Histories, Ints
 
 ANY = -1  # index of a body that is not specified
 # Values of `ignored`, m: ALL for a point that has lost its contact, UNKNOWN for a point that no search has found near a face.
@@ -87,11 +87,13 @@ class Constants(NamedTuple):
 
 
 class Pushes(NamedTuple):
-    """Forces of the points `rows` (k,) in a step, before they are added up. force (k,2,3) N: on the point, from each of its two bodies;
-    couple (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a
+    """Forces of the points `rows` (k,) in a step, before they are added up. due (k,): mask of the points in contact or projected in the
+    step; the others have no force, and their values below are old. force (k,2,3) N: on the point, from each of its two bodies; couple
+    (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a
     point, and the part of it that goes to the face. heat_point (n,), heat_face (f,) J: sums for all points and faces."""
 
     rows: Ints
+    due: Bools
     force: Floats
     couple: Floats
     heat: Floats

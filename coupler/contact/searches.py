@@ -12,6 +12,7 @@ from ..core.loops import ranges
 from .model import Points
 
 LEAST_BODIES = 2  # in a range of a loop that threads share
+WIDE = 2.0  # a search that reaches this many times as far as a new one has too many candidates: it is renewed
 
 
 class Searches(NamedTuple):
@@ -94,15 +95,16 @@ def _is_valid(
     part: Floats,
     active: int,
     spacing: float,
+    skin: float,
     x: Floats,
     points: Points,
     faces: Faces,
     s: Searches,
 ) -> bool:
-    """Whether the last search of a body stays valid and no other face can come near while surfaces move by `travel` m. Arguments as in
-    `valid_searches`."""
+    """Whether the last search of a body stays valid, is not too wide, and no other face can come near while surfaces move by `travel`
+    m. Arguments as in `valid_searches`."""
     own = own_travel(body, travel, part, points, s)
-    if active > s.active[body] or s.reach[body] <= own:
+    if active > s.active[body] or s.reach[body] <= own or s.reach[body] > WIDE * (own + skin * spacing):
         return False
     moved = moved_node = 0.0  # squares, m2
     l0 = l1 = l2 = inf
@@ -133,13 +135,14 @@ def _is_valid(
 
 @uncounted
 def valid_searches(
-    team: Ints, travel: float, part: Floats, active: int, spacing: Floats, x: Floats, points: Points, faces: Faces, s: Searches, valid:
-    Bools,
+    team: Ints, travel: float, part: Floats, active: int, spacing: Floats, skin: float, x: Floats, points: Points, faces: Faces, s:
+    Searches, valid: Bools,
 ) -> None:  # fmt: skip
     """Write to valid (bodies,) whether the last search of each body stays valid while surfaces move by `travel` m, in all threads.
 
-    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; x (N,3) m: nodes.
+    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; skin: spacings that a search
+    reaches beyond the displacement in its own chunk of steps; x (N,3) m: nodes.
     """
     for lo, hi, _ in ranges(team, 0, len(valid), LEAST_BODIES):
         for body in range(lo, hi):
-            valid[body] = _is_valid(body, travel, part, active, spacing[body], x, points, faces, s)
+            valid[body] = _is_valid(body, travel, part, active, spacing[body], skin, x, points, faces, s)

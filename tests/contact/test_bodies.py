@@ -319,6 +319,45 @@ def test_a_search_that_is_still_valid_gives_the_forces_of_a_fresh_one() -> None:
     assert 0 < sum(done) < len(done)
 
 
+def test_a_search_that_reaches_much_too_far_is_renewed() -> None:
+    """After fast motion, points keep only the faces that slow motion can bring near; the forces do not change."""
+    b = Blocks(((1.0,) * 3, 0.2, (0, 0, 0)), ((1.0,) * 3, 0.18, (0, 0, 1.0)))
+    contact, x, forces, counts = b.touch(friction=0.0), b.target.nodes.x.copy(), [], []
+    x[b.nodes(1), 2] -= 1e-3
+    still = np.zeros_like(x)
+    for travel in (0.3, 0.1, 0.001):
+        contact.search(x, travel)
+        forces.append(np.zeros_like(x))
+        contact.forces(1e-9, x, still, forces[-1])
+        counts.append(len(contact.pairs._candidates.face))
+    assert counts[0] > counts[1] > counts[2] > 0
+    assert np.abs(forces[0]).max() > 0.0
+    np.testing.assert_array_equal(forces[1], forces[0])
+    np.testing.assert_array_equal(forces[2], forces[0])
+
+
+def test_a_friction_spring_of_a_point_outside_becomes_heat_once_the_point_moves() -> None:
+    """Bodies that were moved apart at rest keep the energy of their springs until a wave reaches them."""
+    b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
+    contact, x = b.touch(friction=0.5), b.target.nodes.x.copy()
+    x[b.nodes(1), 2] -= 1e-3
+    f, v = np.zeros_like(x), np.zeros_like(x)
+    v[b.nodes(1), 0] = 1.0
+    contact.search(x, 0.01)
+    contact.forces(1e-5, x, v, f)
+    stored = contact.pairs.penalty_energy
+    contact.pairs.history["depth"] = 0.0
+    spring = contact.pairs.penalty_energy
+    assert 0.0 < spring < stored
+    x[b.nodes(1), 2] += 2e-3
+    before = contact.pairs.sums.friction_heat
+    contact.search(x, 0.01)
+    for active, left in ((0, spring), (0, spring), (len(x), 0.0)):
+        contact.forces(1e-5, x, v, f, active)
+        assert contact.pairs.penalty_energy == left
+    assert contact.pairs.sums.friction_heat - before == pytest.approx(spring, rel=1e-12)
+
+
 def test_a_body_at_rest_is_searched_again_when_another_body_comes_near() -> None:
     """Neither it nor the faces near it move: only the faces that were not near at its last search end this search."""
     block = (1.0,) * 3
