@@ -43,8 +43,8 @@ def quantity(
     option: str, dimension: str, positive: bool = True, form: str = "{}", limits: tuple[str, str] | None = None
 ) -> Callable[[str], float]:
     """Make the option type for a text with a unit, such as "300 ns". The type returns an SI value, and raises ColdsprayError.
-    positive: zero and negative values are refused; form: format that adds missing parts, such as a unit, to the text; limits:
-    smallest and largest value, as text."""
+    positive: zero and negative values are refused; form: format string that completes the text, such as "1 {}" for a text that is
+    only a unit; limits: smallest and largest allowed value, as text."""
 
     def read(text: str) -> float:
         try:

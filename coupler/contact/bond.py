@@ -201,7 +201,7 @@ class Bond:
         self.stiffness[rows] *= factors
 
     def reduce_overlap(self, share: float) -> None:
-        """Multiply the negative gaps of bonds that `move` has moved by `share`."""
+        """Multiply by `share` the gap of each bond whose gap was negative after `move`."""
         self.gap[self._moved] *= share
         if share == 0.0:
             self._moved = self._moved[:0]

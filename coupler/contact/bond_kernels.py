@@ -92,16 +92,17 @@ def flow(
 def yielding(
     wide: float, slip: float, k: float, inv_strength: Floats, inv_G: Floats, D: float, most: float
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Permanent shares of the elastic opening and of the elastic slip in this step, and the new damage. D: damage before the step.
+    """Fractions of the elastic opening and slip that become permanent in this step, and the new damage. D: damage before the step.
 
     wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; inv_strength (2,) 1/Pa: 1 / N in tension, 1 / S in shear; inv_G
     (2,) m2/J: 1 / fracture energy. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset criterion of
     Camanho & Davila (2002), NASA/TM-2002-211737. At this locus the opening flows normal to it (Drucker 1951):
 
-        dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = (t_n dp_n / G_I + t_s dp_s / G_II) / 2 (1 - D)
+        dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = (t_n dp_n / G_Ic + t_s dp_s / G_IIc) / (2 (1 - D))
 
     Then the softening is linear for tension or shear alone, and tractions of constant ratio end at G_I/G_Ic + G_II/G_IIc = 1.
-    t_n, t_s and D are values at the end of the step. A bond that has reached the damage `most` flows at its remaining strength.
+    In these equations t_n, t_s and D are values at the end of the step, and dl is the multiplier of `flow`. A bond that has reached
+    the damage `most` flows at its remaining strength.
     """
     a, b = k * wide * inv_strength[0], k * slip * inv_strength[1]
     if a * a + b * b <= (1.0 - D) ** 2:

@@ -12,7 +12,7 @@ from ..core.loops import PARTS, ranges
 from ..core.threads import together
 
 LEAST_BOXES = 100  # in a range of a loop that threads share
-PAIRS = 16  # points near a box for which there is room at first; with more, the search is repeated with more room
+PAIRS = 64  # points near a box for which there is room at first; with more, the search is repeated with more room
 
 
 @njit(cache=True, nogil=True, inline="always")

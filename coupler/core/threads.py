@@ -113,9 +113,9 @@ def at_least(count: int) -> None:
 
 
 def together(function: Callable[..., R], *arguments: object) -> R:
-    """Call a compiled function(team, *arguments), whose loops are `loops.ranges` of the team, in all threads. Returns its result.
+    """Call a compiled function(team, *arguments) in all threads, which share its loops over `loops.ranges(team, ...)`.
 
-    Raises an error of one of the threads.
+    Returns the result of the call in this thread. Raises an error of one of the threads.
     """
     errors: list[BaseException] = []
 

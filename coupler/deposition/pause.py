@@ -66,7 +66,7 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
 
 def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodies, Values]:
     """Bring all bodies to the ambient temperature of the plan and to equilibrium: the stresses are then residual stresses. Returns the
-    bodies that stay (`detaching`), and the report.
+    bodies without detached splats (`all_attached`), and the report.
 
     Each body gets the thermal strain between its initial temperature, at which it is free of stress, and ambient: from
     thermal_expansion(T), or from Gamma0 rho c_p / K for a material without it. The fixed faces of the substrate move with its free

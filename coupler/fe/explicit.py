@@ -322,7 +322,7 @@ class Target(TargetState):
         if state.horizon != self.horizon:
             self.set_window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.drag) != len(self.drag):
-            raise unfit("the target has other boundaries")
+            raise unfit("the target has another number of absorbing nodes")
         check_indices(state.inertia, nodes=n)
         if len(state.inertia.taken) != len(state.inertia.last):
             raise unfit("the forces of the scaled elements do not fit their nodes")

@@ -35,8 +35,8 @@ class Relaxation:
         self._invert()
 
     def weigh(self, highest: HighestFrequency, dt: float) -> None:
-        """Set the masses with which the safe bound of all elements is dt s. The time step becomes the limit of the whole mesh with
-        these masses, which is longer (`fe.stability`)."""
+        """Set the masses with which the safe bound of the time step is dt s for every element. The time step of the relaxation becomes
+        the stability limit of the whole mesh with these masses, which is longer (`fe.stability`)."""
         self.mass = masses_for(self.target, dt)
         self._invert()
         t = self.target

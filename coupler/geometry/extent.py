@@ -19,17 +19,17 @@ DIRECTIONS = 8  # in which the width in the top view is measured, over 180 degre
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def extent(corners: Floats, direction: Floats) -> tuple[float, float]:
+def extent(points: Floats, triangles: Ints, direction: Floats) -> tuple[float, float]:
     """Both ends of a body along a direction, m. Two planes normal to the direction have SHARE of the volume between them and equal
     parts of the rest on both sides. Their distance is divided by OF_SPHERE, so that the extent of a sphere is its diameter.
 
-    corners (m,3,3) m: of the triangles of a closed surface, outwards; direction (3,), a unit vector. For a body without volume: the
-    limits of its corners.
+    points (n,3) m and triangles (m,3) of the closed surface, normals outwards; direction (3,), a unit vector. For a body without
+    volume: the limits of its corners.
     """
-    height, shade = np.empty((len(corners), 3)), np.empty(len(corners))
+    height, shade = np.empty((len(triangles), 3)), np.empty(len(triangles))
     d = direction[0], direction[1], direction[2]
-    for t in range(len(corners)):
-        A, B, C = corners[t, 0], corners[t, 1], corners[t, 2]
+    for t in range(len(triangles)):
+        A, B, C = points[triangles[t, 0]], points[triangles[t, 1]], points[triangles[t, 2]]
         a, b, c = dot(A, d), dot(B, d), dot(C, d)
         height[t, 0], height[t, 2] = min(a, b, c), max(a, b, c)
         height[t, 1] = max(min(a, b), min(max(a, b), c))
@@ -88,12 +88,12 @@ def shape_measures(points: Floats, triangles: Ints, diameter: float) -> dict[str
     `extent`. Flattening ratios: 1 - height / D0, and in total 1 - thickness / D0. jet_length_m: largest distance of the surface outside
     the extents. points (n,3) m and triangles (m,3) of the closed surface; diameter: D0.
     """
-    corners, skin = points[triangles], points[np.unique(triangles)]
-    bottom, top = extent(corners, UP)
+    skin = points[np.unique(triangles)]
+    bottom, top = extent(points, triangles, UP)
     jet, widths = max(0.0, float(skin[:, 2].max()) - top), []
     for angle in np.arange(DIRECTIONS) * (np.pi / DIRECTIONS):
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-        low, high = extent(corners, direction)
+        low, high = extent(points, triangles, direction)
         along = skin @ direction
         jet = max(jet, float(along.max()) - high, low - float(along.min()))
         widths.append(high - low)

@@ -18,13 +18,14 @@ GLANCING = math.sqrt(0.05)
 
 @dataclass
 class EndState:
-    """State of an `EndCriterion`. at: "rest", "greatest" or "time"; end_time (s): time limit.
+    """State of an `EndCriterion`. at: criterion for the end, "rest", "greatest" or "time"; end_time (s): time limit.
 
     peak (N): largest contact force so far; turned (s): time of the greatest deformation, None before it; loud (s): last time with a
-    contact force above QUIET_FORCE of the peak; fast (s): last time at which the particle was not bonded, or was faster than
-    HELD_STILL of its impact speed with an energy that its bonds may not absorb; above (s): last time at which its centre was above
-    the target, not beyond the rim; risen: it has moved upwards after the greatest deformation; arrested: its bonds have then
-    stopped it; time (s), work (J): time and dissipated energy at the last observation; power (W): mean rate of work.
+    contact force above QUIET_FORCE of the peak, bonds that could break, or the grip "embedded" (grips: see `EndCriterion.observe`);
+    fast (s): last time at which the grip was "free", bonds could break, or the speed along the normal was above HELD_STILL of the
+    impact speed with the grip "held" or "embedded"; above (s): last time at which its centre was above the target, not beyond the
+    rim; risen: it has moved upwards after the greatest deformation, and from then on its bonds count as able to break; arrested: its
+    bonds have then stopped it; time (s), work (J): time and dissipated energy at the last observation; power (W): mean rate of work.
     """
 
     at: str

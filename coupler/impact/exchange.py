@@ -93,7 +93,7 @@ class Impact(Course):
 
     @cached_property
     def _films(self) -> np.ndarray:
-        """`oxide_film` (laws, 2) between the particle and each law of the target."""
+        """`oxide_film` (laws, 2) of the particle with each law of the target: exposure, and strength times thickness (N/m)."""
         return np.array([oxide_film(self.domains.own.material, metal) for metal in self._metals])
 
     @property

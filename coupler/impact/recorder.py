@@ -123,7 +123,7 @@ class Recorder:
         particle = impact.particle
         ledger = impact.ledger.update(impact.domains, impact.bonds)
         skin = impact.surface.positions(particle.x)
-        bottom, top = extent(skin[impact.surface.triangles], UP)
+        bottom, top = extent(skin, impact.surface.triangles, UP)
         self.store.record({
             "time": self.before + impact.time, "impact": float(self.i + 1), "dt": dt, "step": float(particle.steps), **ledger,
             "height": top - self._flight(impact), "thickness": top - bottom, "crater_depth": self._crater(impact),

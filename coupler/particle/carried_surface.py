@@ -104,8 +104,8 @@ class CarriedSurface:
 
 
 def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
-    """Equal shares (k,n) of each point for the vertices within BESIDE spacings of it. A column sums to one, or to zero for a point
-    deep in the body."""
+    """Matrix (k,n) that divides the value of each of n points equally among the vertices within BESIDE spacings of the point.
+    The column of a point sums to one, or to zero for a point deep in the body."""
     near = tree.sparse_distance_matrix(cKDTree(vertices), BESIDE * spacing, output_type="coo_matrix").tocsr()
     near.data[:] = 1.0
     shares = near.multiply(1.0 / np.maximum(near.sum(axis=1), 1.0))

@@ -92,9 +92,10 @@ def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
 
 
 def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
-    """A view of LAW records (k,) in which those of the `numbers` that are zero in all records are integers: kernels omit their effects.
+    """A view of LAW records (k,). In it, each of the fields `numbers` that is zero in all records has an integer type.
 
-    These numbers must stay zero. numba compiles the kernels for each combination of zeros: name only numbers that the kernel reads.
+    Kernels omit the effects of integer fields (`on`), which must stay zero. numba compiles the kernels for each combination of
+    zeros: name only numbers that the kernel reads.
     """
     bits = np.ascontiguousarray(laws, LAW).view(np.int64).reshape(len(laws), -1)
     off = {name for name, seen in zip(LAW.names or (), bits.T, strict=True) if name in numbers and not seen.any()}

@@ -104,7 +104,7 @@ class Feed:
     room: float = ROOM
 
     def keys(self, names: Iterable[str]) -> dict[str, Any]:
-        """The keys of its table that have these names."""
+        """The given keys of the powder's table `raw` with their values, without keys that the table lacks."""
         return {name: self.raw[name] for name in names if name in self.raw}
 
 
@@ -318,8 +318,8 @@ class Job:
 
 def sets_of(table: Mapping[str, object], name: str) -> list[str]:
     """The strength sets of a metal in the library. The set that is fitted up to the highest strain rate comes first; for a fit
-    without an upper limit its lowest rate counts. The list is empty if the table of the metal names its strength, or the library does
-    not have the metal."""
+    without an upper limit its lowest rate counts. The list is empty if `table`, the table of the metal in the file, names a strength
+    set or law, or if the library does not have the metal."""
     try:
         known = [] if {"strength", "law"} & table.keys() else materials.entry(str(table.get("base", name))).materials
     except ColdsprayError:

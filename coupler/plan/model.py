@@ -19,7 +19,7 @@ VERTICAL = (0.0, 0.0, 1.0)
 
 
 def towards(velocity: Vector, normal: Vector) -> float:
-    """Velocity (m/s) against the outward normal of a surface."""
+    """Component (m/s) of a velocity opposite to the outward unit normal of a surface: positive towards the surface."""
     return -sum(v * n for v, n in zip(velocity, normal, strict=True))
 
 

@@ -56,9 +56,9 @@ class Properties:
     side, height (m): dimensions of the block; splats: number of splats that fill its volume; solid: fraction of its volume that is
     metal; open_share: fraction of its vertical columns whose metal ends below its top; bonded: fraction of the joint area that is
     bonded; gap: volume between bonded surfaces, which counts as metal, divided by the volume of the block; stiffness: 6x6 matrix (Pa)
-    in Voigt's order (xx yy zz yz xz xy) for each condition, static None as in `Bracket`; values: bracket of each property; warnings:
-    texts. Where surfaces only touch, stiffness and moduli are those of the block while it is pressed, and under keys with "_stretched"
-    those while it is stretched (`homogenise.elastic`).
+    in Voigt's order (xx yy zz yz xz xy) for each condition; that of "static" is None where `Bracket` has None; values: bracket of
+    each property; warnings: texts. Where surfaces only touch, stiffness and moduli are those of the block while it is pressed, and
+    under keys with "_stretched" those while it is stretched (`homogenise.elastic`).
     """
 
     side_m: float

@@ -24,7 +24,7 @@ RIDGE = 0.02  # spacings: a set of points with a smaller thickness counts as a p
 
 
 class Fit:
-    """The linear fit at points y (m,3) m from points x (n,3) m with the given spacing."""
+    """Linear moving least-squares fit of fields from points x (n,3) m to points y (m,3) m. spacing (m): that of the points x."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray, spacing: float):
         near = cKDTree(x).query(y, k=min(NEIGHBOURS, len(x)))[1]

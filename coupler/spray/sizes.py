@@ -27,7 +27,7 @@ class Sizes(NamedTuple):
     @classmethod
     def of_classes(cls, edges: Sequence[float], shares: Sequence[float]) -> "Sizes":
         """The distribution with n mass fractions, in any unit, between n + 1 ascending diameters (m). Raises ValueError if fewer than
-        two diameters have powder below and above."""
+        three size classes contain powder."""
         whole, below = sum(shares), 0.0
         known: list[tuple[float, float]] = []
         for edge, share in zip(edges[1:], shares, strict=True):

@@ -41,8 +41,8 @@ class Cut:
 
 
 def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
-    """The sub-domain within `radius` m of origin (m), with its rim, as bodies numbered outwards from there. The full domain does
-    not change, except that its elements get the pending heat of friction."""
+    """The sub-domain within `radius` m of origin (m), with its rim and with nodes and elements numbered outwards from origin; and its
+    record. In the full domain only `Bodies.release_heat` makes a change: elements receive the heat of friction and fracture."""
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.nodes.x

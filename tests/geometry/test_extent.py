@@ -35,7 +35,7 @@ def test_planes_cut_off_their_share_of_a_box() -> None:
     box = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 2.0)])
     faces = np.array([[0, 2, 6, 4], [1, 5, 7, 3], [0, 4, 5, 1], [2, 3, 7, 6], [0, 1, 3, 2], [4, 6, 7, 5]])
     triangles = np.concatenate([faces[:, :3], faces[:, [0, 2, 3]]])
-    low, high = extent(box[triangles], UP)
+    low, high = extent(box, triangles, UP)
     assert high - low == pytest.approx(2.0 * SHARE / (1.0 - 0.0828), rel=1e-4)
     assert 0.5 * (low + high) == pytest.approx(1.0)
 
