@@ -199,10 +199,9 @@ def measure(key: str) -> Measure:
 
 
 def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str, str]]:
-    """Returns two tables: the values, with None in place of values outside the range of their measure; and the reason for each such
-    key.
+    """Return two tables by key: the values, with None in place of each invalid one (`Measure.refusal`); and the reason for each None.
 
-    If the surface does not follow the points, all measures of the surface are None.
+    If the carried surface does not follow the points (surface_volume_error is invalid), all measures of the surface become None.
     """
     reasons = {
         key: reason

@@ -90,7 +90,7 @@ class Progress:
 
     def stage(self, text: str, of_impact: bool = True, done: float | None = None) -> None:
         """Begin work without simulated time. It lasts until the next call of `stage`, `update` or `stop`; a call with the same text
-        continues it. of_impact: it belongs to the last started impact; done: share of the whole before it."""
+        continues it. of_impact: the work belongs to the last started impact; done: share of all work that is finished."""
         again = self._stage is not None and self._stage[0] == text
         if not again:
             self._show_last()
@@ -168,9 +168,9 @@ class Progress:
     def _fraction(self) -> float:
         """The fraction of the expected wall time of all impacts that is already done.
 
-        The remaining simulated time of an impact is at least _OVERDUE times that so far, within its limit. The number of steps per
-        simulated time, 1 / dt, rises as kinetic energy is converted. Its mean over the rest of the impact is estimated as its current
-        value plus (expected mean - first value) times the remaining share of kinetic energy.
+        The remaining simulated time of an impact is at least _OVERDUE times its time so far, unless its limit comes earlier. The number
+        of steps per simulated time, 1 / dt, rises as kinetic energy is converted. Its mean over the rest of the impact is estimated as
+        its current value plus (expected mean - first value) times the remaining share of kinetic energy.
         """
         gone, (kinetic, dt, step) = self.time - self._before, self._state
         if not gone > 0.0:

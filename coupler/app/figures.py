@@ -33,8 +33,8 @@ def shell(traces: Sequence[Mapping[str, Any]], x: str, y: str, name: str, **layo
 
 
 def deposition_window(job: Job, powder: str) -> Figure:
-    """Velocity against temperature at impact for the size classes of a metal powder, with the critical velocities by the formula for a
-    particle of diameter D50."""
+    """Velocity against temperature at impact: the size classes of a metal powder, the critical velocities of powder and surface for
+    diameter D50, and the optimal and erosion velocities of the powder. powder: name of the powder."""
     spray, own, lines = job.arrived[powder], job.powders[powder], []
     coldest, hottest = float(spray.temperature.min()), float(spray.temperature.max())
     T, D50 = np.linspace(min(280.0, coldest), min(hottest + 200.0, 0.9 * own.metal.T_m), 40), own.sizes.diameter(0.5)

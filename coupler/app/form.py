@@ -19,8 +19,8 @@ _KEY = re.compile(r"[A-Za-z_]+(?:\[\d+\])?(?:\.[A-Za-z_]+)*")
 
 
 def entries_of(schema: Mapping[str, Any]) -> Entries:
-    """Return the entry of each key (with dots) in the schema of a scene or a job, without the keys of the user's own metals and
-    nozzles."""
+    """Return the schema entry of each key, such as "gas.pressure", of a scene or a job. The key `name` and the keys of the user's own
+    metals and nozzles are left out."""
     found: dict[str, Mapping[str, Any]] = {}
     for name, entry in schema["properties"].items():
         table = schema["definitions"].get(str(entry.get("$ref", "")).rpartition("/")[2], entry)
@@ -32,8 +32,8 @@ def entries_of(schema: Mapping[str, Any]) -> Entries:
 
 
 def numbered(key: str, text: str) -> list[str]:
-    """Return the keys of the fields for a key of the schema: of a powder one for each table [[powder]] of the text, such as
-    "powder[2].material"."""
+    """Return the keys of the form for a key of the schema. If the text has tables [[powder]], a key of a powder gives one key for each
+    of them, such as "powder[2].material"; any other key is returned unchanged."""
     given = parse_toml(text).get("powder")
     if not (key.startswith("powder.") and isinstance(given, list)):
         return [key]
@@ -41,7 +41,7 @@ def numbered(key: str, text: str) -> list[str]:
 
 
 def placed(problems: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
-    """Sort the problems of a reader by the key with which each begins. Problems without a key are under ""."""
+    """Return the problems by key: each is under the key of `keys` with which it begins, or under "". Line breaks separate them."""
     known, found = set(keys), dict[str, str]()
     for problem in problems:
         match = _KEY.match(problem)
@@ -69,7 +69,7 @@ class Form:
 
     def toml(self) -> str:
         """Return the text with the values of the fields. An empty field removes its key, and a table without keys is removed. Raises
-        ValueError."""
+        ValueError for a key that cannot be set."""
         now = {key: str(field.value or "").strip() for key, field in self.fields.items()}
         settings = [(k, now[k] or None) for k in now if now[k] != self.first.get(k, "")]
         gone = {k.partition(".")[0] for k, value in settings if value is None and "." in k and "[" not in k}
@@ -90,7 +90,7 @@ class Form:
                     self.fields[key] = self._field(key)
 
     def _field(self, key: str) -> Any:
-        """Make the field of a key, with help text below it while it is edited, and the slider of a key in SLIDERS."""
+        """Make the field of a key. Its help text is visible while the user edits the field. A key in SLIDERS also gets a slider."""
         entry, value, leaf = self.entries[key], self.first.get(key, ""), key.rpartition(".")[2]
         usual = str(default).lower() if isinstance(default := entry.get("default"), bool) else default
         choices = entry.get("enum") or (["true", "false"] if entry.get("type") == "boolean" else None)

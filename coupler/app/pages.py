@@ -184,7 +184,7 @@ def _nozzles() -> None:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Mapping[str, Any]], **more: Any) -> ui.table:
-    """Make a table on one page. heads: column headings; the first column holds the names of the rows."""
+    """Make a table that shows all rows at once. heads: column headings; the first column holds the names of the rows."""
     columns = [{"name": key, "label": key, "field": key, "align": "left", "sortable": True} for key in heads]
     cells = [{key: value for key, value in row.items() if isinstance(value, str)} for row in rows]
     table = ui.table(columns=columns, rows=cells, row_key=heads[0], pagination={"rowsPerPage": 0}, **more)
@@ -271,7 +271,7 @@ def _run(workspace: Workspace, name: str) -> None:
 
 
 def _report(workspace: Workspace, folder: Path, row: Row) -> str:
-    """The web address of the report of a finished run or job, which is written anew if the run or its properties are newer."""
+    """Web address of the report of a finished run or job. The report of a run is rewritten first if results or properties are newer."""
     if row.kind == JOB:
         return workspace.address(folder / "job.html")
     page, told = folder / "report.html", (folder / "summary.json", folder / "properties" / "properties.json")

@@ -50,8 +50,8 @@ class Now:
 
 
 def preview(text: str, path: Path, verb: str, here: pace.Pace) -> Preview:
-    """The preview of a scene or a job. text: its TOML text; path: file in which it would be saved; verb: "run" for a scene, "job" for
-    a job, "" for a job without an estimate of the time. Problems of the input are part of the result."""
+    """The preview of a scene or a job. text: its TOML text; path: file in which it would be saved; verb: "run" for a scene, "job" for a
+    job, "" for a job whose parts and time are left out. Problems of the input are part of the result."""
     try:
         if verb == "run":
             planned = plan(Scene.from_text(text, str(path)))
@@ -99,7 +99,8 @@ def now(workspace: Workspace, folder: Path) -> Now:
 
 @lru_cache(maxsize=32)
 def _draw(folder: Path, steps: int, impact: int) -> None:
-    """Draw the cross-section at the last stored step and, for several impacts, the growth of the coating, once for each step."""
+    """Draw the cross-section at the last stored step and, after two impacts or more, the growth of the coating. steps: number of stored
+    steps; impact: number of finished impacts plus 1. A repeated call with the same arguments has no effect."""
     with _DRAWING:
         if steps:
             picture.section_picture(Result(folder), folder / "live.png")

@@ -8,7 +8,7 @@ import sys
 
 
 def main(lock: str, *words: str) -> None:
-    """Wait for the lock on a file, then execute the command. The command holds the lock until it ends. lock: path of the file."""
+    """Wait for the lock on a file, then execute `coldspray WORDS`. The command holds the lock until it ends. lock: path of the file."""
     # the run must not inherit the memory limit of the server, nor that SIGINT is ignored, which a shell can cause
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     most = resource.getrlimit(resource.RLIMIT_DATA)[1]

@@ -62,7 +62,7 @@ class Workspace:
         return path
 
     def folder(self, name: str) -> Path:
-        """Return the path of a results folder. name: its path below `runs`. Raises StoreError."""
+        """Return the path of a results folder. name: its path below `runs`. Raises StoreError if the path is not inside `runs`."""
         path = self.inside(f"runs/{name}")
         if self.runs not in path.resolve().parents:
             raise StoreError(f"there is no folder {name[:80]!r} in {self.runs}: choose a folder of the list")

@@ -80,9 +80,9 @@ def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) ->
 
 
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
-    """Return the scene with the resolution that --within or --accuracy determines, and a text line about it. within, accuracy: texts
-    of these options. If both are given, --accuracy determines the resolution, provided the time is sufficient. Raises ColdsprayError
-    for a text that is not a time or a percentage, and if no resolution is possible."""
+    """Return the scene with a new resolution, and a text line about this resolution. within, accuracy: texts of --within and
+    --accuracy. --within alone determines the resolution; with --accuracy it only limits the wall time. Raises ColdsprayError for a text
+    that is not a time or a percentage, and if no allowed resolution satisfies the options."""
     from ..plan import cost as estimates
     from ..plan import refinement
     from ..plan.planning import plan

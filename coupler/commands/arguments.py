@@ -79,8 +79,8 @@ def add_scene(option: Option) -> None:
 
 
 def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
-    """Add a command that computes a scene many times; `study_folder` makes its folder. Arguments and result are those of
-    `add_command`."""
+    """Add a command that computes a scene many times; `study_folder` makes its folder. verb: name of the command. Other arguments and
+    result: as in `add_command`."""
     option = add_command(commands, verb, run, text)
     add_scene(option)
     option("--out", type=path, metavar="DIR",
@@ -111,7 +111,7 @@ def _setting(text: str) -> tuple[str, str | None]:
 
 
 def at_least_one(text: str, most: int | None = None) -> int:
-    """Option type: a whole number from one to `most`."""
+    """Option type: a whole number, at least 1 and at most `most`. None: no upper limit."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     if most is not None and int(text) > most:
@@ -130,8 +130,8 @@ def jobs_of(arguments: argparse.Namespace) -> int:
 
 
 def share(text: str, option: str) -> float:
-    """Convert a percentage such as "2%" to a number from 0 to 1. option: its name, for the message. Raises StoreError for other
-    text."""
+    """Convert a percentage such as "2%" to a number above 0 and up to 1. option: name of the option, for the message. Raises StoreError
+    for other text."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
         raise StoreError(f'{option} {text!r} is not valid: give a percentage above 0 and up to 100, such as "2%"')
@@ -153,7 +153,7 @@ def remake(arguments: argparse.Namespace) -> str:
 
 
 def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:
-    """Return a function that prints a line to a standard stream. With `quiet` the function does nothing."""
+    """Return a function that prints a line to sys.stdout or sys.stderr (`to`). With `quiet` the function does nothing."""
     return lambda text: None if quiet else print(text, file=vars(sys)[to], flush=True)
 
 

@@ -83,8 +83,8 @@ def _read(text: str, file: str) -> tuple[dict[str, Mapping[str, object]], list[s
 
 
 def _value(name: str, cell: str, unit: str | None, comma: bool) -> object:
-    """Convert a cell of the table to a value of a scene. unit: unit in the column heading; if it is None, the magnitude of the number
-    decides between Pa, MPa and GPa. comma: whether the number has a decimal comma."""
+    """Convert a cell of column `name` to a value of a scene. unit: unit in the column heading; None: the usual unit, where the
+    magnitude of a stress or modulus decides between Pa, MPa and GPa. comma: whether the number has a decimal comma."""
     from ..physics.materials import UNITS
 
     if name in _TEXTS:

@@ -73,8 +73,8 @@ def setup(
     arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter"
 ) -> "tuple[Flow, dict[str, Material], list[float], Callable[[Material, Sequence[float]], list[Flight]]]":
     """Read the conditions from the options, and check that the files of --csv and --png can be written. command, sizes: names of the
-    command and of its option for diameters, for messages. Returns the flow, the metals by name, the diameters (m), and the function
-    that computes the flights of particles of a metal and of diameters. Raises SceneError with all problems."""
+    command and of its option for diameters, for messages. Returns the flow, the metals by name, the diameters (m), and a function
+    (metal, diameters in m) -> flights. Raises SceneError with all problems."""
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..scene.values import DIAMETER

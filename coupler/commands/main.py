@@ -84,13 +84,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _code(interrupt: KeyboardInterrupt) -> int:
-    """Exit code of a command that a signal has interrupted: 128 and the number of the signal, as in shells."""
+    """Exit code of a command that a signal has interrupted: 128 plus the number of the signal, as in shells."""
     return 128 + (int(interrupt.args[0]) if interrupt.args else signal.SIGINT)
 
 
 def _prepare() -> None:
     """Open missing standard streams, show "?" for characters that the terminal lacks, ignore a matplotlib backend for notebooks, and
-    search for cycles of references less often."""
+    let the garbage collector run less often."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

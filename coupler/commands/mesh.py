@@ -68,7 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple["Cloud", list[str]]:
-    """The particle of a run at a stored step, with its surface, and remarks. Raises StoreError."""
+    """The particle of a run at a stored step, with its surface, and remarks. spacing, m: by default that of the run. Raises SplatError
+    if the run has no such step, StoreError if it cannot be read."""
     import numpy as np
 
     from ..core.records import rows_of
@@ -102,9 +103,9 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
 def of_file(
     path: Path, spacing: float | None = None, unit: float | None = None, columns: str | None = None
 ) -> tuple["Cloud", list[str]]:
-    """The points of a file, with the fields of known names, and remarks. unit: unit of the coordinates, m; columns: names of the
-    columns of a text file. Raises InputError if the file cannot be read or has no points, SplatError if it holds a surface or its
-    points form no body."""
+    """The points of a file, with the fields that a `Cloud` has, and remarks. spacing: None: from the volumes, or estimated; unit: unit
+    of the coordinates, m; columns: names of the columns of a text file. Raises InputError if the file cannot be read, holds a surface
+    or has no points, SplatError if the points lie on a surface or form no body."""
     import numpy as np
 
     from ..core.records import rows_of
@@ -153,7 +154,8 @@ def of_file(
 
 
 def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
-    """The unit of coordinates in m: from --unit, or from the file. Raises SplatError if the two differ."""
+    """The unit of the coordinates, in m: `given` (--unit), else `of_file` ("" if the file names none), else 1. notes: gets a remark
+    about a unit from the file. Raises SplatError if the two differ, or if `of_file` is unknown and `given` is None."""
     if not of_file:
         return given or 1.0
     try:
@@ -172,7 +174,7 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
 
 
 def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
-    """Values of a field in SI units; None if the field needs an SI unit and the given unit is unknown."""
+    """Values of a field in SI units; None if `unit` is neither SI, nor empty ("", "-", "1"), nor, for T, a temperature unit."""
     if unit in ("", "-", "1", _SI.get(field, "")):
         return values
     try:
@@ -183,9 +185,9 @@ def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
 
 
 def estimated_spacing(x: "np.ndarray") -> float:
-    """Estimate of the point spacing (m): edge of the cube that each of the points x (n,3) occupies, from the distances to neighbours.
-    It follows from the volume of balls that contain k neighbours, averaged over k, at the densest points, which lie inside the body.
-    The error is at most 3 % for lattices and scattered points. Raises SplatError."""
+    """Estimate of the point spacing (m): edge of the cube that each of the points x (n,3) occupies. For each point, the distance to its
+    k-th neighbour gives an edge, averaged over k. The result is the lower quartile of these edges, because they are smallest inside the
+    body. The error is at most 3 % for lattices and scattered points. Raises SplatError."""
     import numpy as np
     from scipy.spatial import cKDTree
 

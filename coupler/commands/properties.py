@@ -128,7 +128,7 @@ def _head(name: str, of: "Properties") -> str:
 
 
 def table(of: "Properties", seeds: "dict[str, SeedError]") -> "Table":
-    """The properties in percent of the values of the bulk metal, with their error if there are several runs."""
+    """A table of the properties in percent of the bulk value. seeds: mean and error of several runs, by property; empty for one run."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -82,8 +82,8 @@ class BodyContact(BodyContactState):
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """For each body, the facets of other bodies within reach of its nodes. The reach is half the size of the largest splat:
-        surfaces farther apart cannot touch during an impact."""
+        """For each body, the indices of the facets of other bodies whose boxes lie within the reach of the body's box. The reach is
+        half the largest edge of a splat's box: surfaces farther apart cannot touch during an impact."""
         s = self.surfaces
         low, high = s.boxes(x)
         boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
@@ -151,7 +151,7 @@ class BodyContact(BodyContactState):
         c.expire(new)
 
     def reduce_overlap(self, share: float) -> None:
-        """Multiply the depths without force (`ignore_depth`) of active nodes by `share`: the contact then pushes the bodies apart."""
+        """Multiply by `share` the depth without force (`ignore_depth`) of the points `pairs.rows`: these then push the bodies apart."""
         ignored, rows = self.pairs.history["ignored"], self.pairs.rows
         ignored[rows] = np.where((ignored[rows] > 0.0) & (ignored[rows] < ALL), share * ignored[rows], ignored[rows])
 

@@ -35,10 +35,10 @@ class Bond:
     the strength, and one of infinite energy flows at the strength.
 
     Arrays of n bonds: nodes (or points that are not nodes); triangles, weights: the point on a triangle to which each is bonded; gap
-    (m): height without normal force; area (m2); stiffness (Pa/m); strength (n,2) Pa, energy (n,2) J/m2: normal, shear; rewelds: share
-    of the strength that remains after slip under contact pressure; loose (n,): mask of the bonds whose compression the contact resists;
-    damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent slip; spent
-    (J): dissipated energy; heated (J): part of it that has become heat of the bodies. stored, dissipated: energies of all bonds, J.
+    (m): height of the node above the triangle at zero normal force; area (m2); stiffness (Pa/m); strength (n,2) Pa, energy (n,2) J/m2:
+    normal, shear; rewelds: share of the strength that remains after slip under contact pressure; loose: mask, the contact resists their
+    compression; damage, 0 to 1: lost share of the strength; opening (n,3) m: elastic opening; traction (n,2) Pa; slid (m): permanent
+    slip; spent (J): dissipated energy; heated (J): part given to the bodies as heat. stored, dissipated: energies of all bonds, J.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
@@ -73,11 +73,11 @@ class Bond:
         shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
         rewelds: float | np.ndarray = 0.0,
     ) -> "Bond":  # fmt: skip
-        """Make bonds between points `nodes` (n,) of p (.,3) m and triangles (n,3) of nodes x (N,3) m. In these positions the bonds
-        have no force. area (n,) m2: bonds of zero area are left out; stiffness (Pa/m): see `penalty`.
+        """Make bonds between the points p[nodes] and triangles (n,3) of nodes x (N,3) m. nodes (n,): indices in p (.,3) m. The bonds
+        have no force in these positions. area (n,) m2: bonds of zero area are left out; stiffness (Pa/m): see `penalty`.
 
         strength (Pa), energy (J/m2): in the normal direction, one value or (n,); the shear values are equal to them by default.
-        rewelds: as in `Bond`. Raises SolverError for a strength or energy that does not fit this stiffness.
+        rewelds: as in `Bond`. Raises SolverError if strength <= 0, or if energy is not 0 and below that of the spring at its strength.
         """
         kept = area > 0.0
         nodes, triangles = np.asarray(nodes[kept], np.int64), np.ascontiguousarray(triangles[kept], np.int64)
@@ -190,8 +190,8 @@ class Bond:
         self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
 
     def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
-        """Increase the stiffness of bonds `rows` (k,) by factors (k,), at most to the median stiffness of all bonds, N/m. Bonds
-        that become stiffer start again without force in the positions x (N,3) m (`move`)."""
+        """Multiply the stiffness of bonds `rows` (k,) by factors (k,) > 1, but only until stiffness times area (N/m) is the median of
+        all bonds. Bonds that become stiffer start again without force in the positions x (N,3) m (`move`)."""
         if len(rows) == 0:
             return
         springs = self.stiffness * self.area
@@ -242,7 +242,7 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check(bond: Bond) -> None:
-    """Raise SolverError if strength, energy and stiffness of a bond do not fit each other."""
+    """Raise SolverError unless strength, stiffness > 0, and energy is 0 or at least that of the spring at its strength (if finite)."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
         raise SolverError(

@@ -55,8 +55,8 @@ def flow(
     """The multiplier dl of `yielding` that returns the tractions to the yield locus; infinite if the bond breaks completely.
 
     a, b: trial tractions divided by strengths; soft = k / strength^2; intact: 1 - D before the step. With m = |(a, b)| at the end of
-    the step, m + dl softening / 2 m = intact. The solver is regula falsi (Illinois) in y = c dl / (1 + c dl), in which the equation
-    is linear for tension or shear alone.
+    the step, m + dl softening / (2 m) = intact. The solver is regula falsi (Illinois) in y = c dl / (1 + c dl), where c is the larger
+    `soft` of the loaded directions: the equation is linear in y for tension or shear alone.
     """
     c = 0.0
     la = lb = 0.0  # direction of the tractions as dl grows without bound
@@ -206,8 +206,8 @@ def bond_forces(
 def _add_reaction(
     f: Floats, t: Ints, w: Floats, tn: float, stiff: float, turn: float, n: Vector, s: Vector, u: Vector, v: Vector
 ) -> None:  # fmt: skip
-    """Add the reaction to the force -(tn n + stiff s), N, to the corners t of a triangle. u, v: its edges, m; w: barycentric
-    coordinates of the bond's point; turn (N/m): factor of the couple, from dU/dn with dn = (1 - n n) d(u x v) / |u x v|."""
+    """Add the reaction to the force -(tn n + stiff s), N, on a bonded point to the corners t of the triangle. n: normal; s: slip, m; u,
+    v: edges, m; w: barycentric coordinates; turn (N/m): factor of the couple, from dU/dn with dn = (1 - n n) d(u x v) / |u x v|."""
     b, c = cross(v, s), cross(s, u)
     for d in range(3):
         force, couple_b, couple_c = -(tn * n[d] + stiff * s[d]), -turn * b[d], -turn * c[d]
@@ -222,9 +222,9 @@ def in_contact(
 ) -> None:  # fmt: skip
     """Write the argument `depth` (n,) m of `bond_forces`, for the points `rows` (n,).
 
-    penetration, gaps (k,) m: of all points; ring[start[i]:start[i + 1]]: neighbours of the point rows[i]. Two different
-    triangulations touch only at some of their points. Therefore a point that is closer than `reach` (m) to the other surface and
-    has a neighbour in contact counts as in contact, too.
+    penetration, gaps (k,) m: `Contact.depth` and `Contact.gap` of all points; ring[start[i]:start[i + 1]]: neighbours of the point
+    rows[i]. Two different triangulations touch only at some of their points. Therefore a point that is closer than `reach` (m) to the
+    other surface and has a neighbour in contact counts as in contact, too.
     """
     for i in range(len(rows)):
         depth[i] = penetration[rows[i]]

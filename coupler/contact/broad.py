@@ -63,7 +63,7 @@ def boxes_within(low: Floats, high: Floats, ids: Ints, least: Floats, most: Floa
 @njit(cache=True, nogil=True)
 def _sorted(points: Floats, low: Floats, high: Floats, cell: float) -> tuple[Floats, Ints, Ints, Ints]:
     """Sort the points in the box [low, high] into cells of a grid. Returns the origin of the grid (3,) m, its number of cells in each
-    direction (3,), the index of the first point of each cell, and the points, cell by cell."""
+    direction (3,), begin, and members: members[begin[i]:begin[i + 1]] are the indices of the points in cell i."""
     near = boxes_within(points, points, np.arange(len(points)), low, high)
     if len(near) == 0:
         return np.zeros(3), np.ones(3, np.int64), np.zeros(2, np.int64), near
@@ -142,8 +142,8 @@ def _points_of_box(r: int, p: _Pairing, found: Ints, at: int) -> int:
 
 @uncounted
 def _points_of_boxes(team: Ints, p: _Pairing, count: Ints, used: Ints, found: Ints) -> None:
-    """Do `_points_of_box` for all boxes, in all threads. Writes the numbers of points to count (k,). found (PARTS, room): the points of
-    the boxes of each part; used (PARTS,): their number, which can be larger than the room."""
+    """Do `_points_of_box` for all boxes, in all threads. Writes the numbers of points to count (k,). found (PARTS, room): indices of
+    the points, one row for each range of boxes; used (PARTS,): number of points of each range, which can be larger than room."""
     for lo, hi, part in ranges(team, 0, len(count), LEAST_BOXES):
         for r in range(lo, hi):
             count[r] = _points_of_box(r, p, found[part], used[part])

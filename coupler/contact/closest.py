@@ -192,9 +192,9 @@ def reachable(
     """Candidates (start, face) that the points `rows` can touch before a point of the body b and a face have moved by travel[b] m
     relative to each other.
 
-    These are at most 2 travel farther away than the closest face or, if the point has candidates of several bodies and its limit
-    (k,) m is larger than this distance, than the limit. A point without a closest face keeps all its candidates. Points that are
-    not in `rows` keep none.
+    The boxes of these faces are at most d + 2 travel away from the point. d is the distance of the closest face or, if the point has
+    candidates of several bodies, the larger of this and its limit (k,) m. A point without a closest face keeps all its candidates.
+    Points that are not in `rows` keep none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
     count = last = 0
@@ -232,7 +232,7 @@ def merged(
 
 @njit(cache=True, nogil=True)
 def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: int) -> tuple[Ints, Ints]:
-    """Nodes of the candidates of each body's points, body by body, and the index of the first one of each body. n: number of nodes."""
+    """Returns nodes and bounds: nodes[bounds[b]:bounds[b + 1]] are those of the candidates of body b's points. n: number of nodes."""
     last, bounds = np.full(n, ANY), np.zeros(bodies + 1, np.int64)
     nodes, count = np.empty(3 * len(c.face), np.int64), 0
     for i in range(len(owner)):

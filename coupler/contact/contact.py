@@ -98,7 +98,7 @@ class Contact(ContactState):
 
     @property
     def gap(self) -> Floats:
-        """Signed distance (n,) m of the points `rows` from their faces, negative inside."""
+        """Signed distance (n,) m of each point from its face, negative inside. Valid only for the points `rows`."""
         return self._projections.gap[:, 0]
 
     @property
@@ -138,9 +138,9 @@ class Contact(ContactState):
     ) -> bool:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m relative to each other.
 
-        xp (n,3), x (N,3) m: points and nodes; always: points that are always in `rows`; active: number of nodes that move, the
-        first ones (default: all): a point at rest whose near faces are at rest keeps its forces and is not in `rows`; v (N,3) m/s:
-        velocities, if the points are nodes: a slow surface then moves less than `travel`. Returns whether any body has new
+        xp (n,3), x (N,3) m: points and nodes; always: points that are always in `rows`; active: number of nodes that move, the first
+        ones (default: all): a point at rest whose near faces are at rest keeps its forces and is not in `rows`; v (N,3) m/s:
+        velocities, if the points are nodes: the searches of slow bodies then cover a smaller distance. Returns whether any body has new
         candidates: old ones are kept until surfaces have moved too far. Raises SolverError when the positions are not finite numbers.
         """
         self.points.x[:], active = xp, len(x) if active is None else active
@@ -175,8 +175,8 @@ class Contact(ContactState):
         return broad.boxes_within(low, high, self.facing[body], least - margin, most + margin)
 
     def _start(self, due: Ints, x: Floats, travel: float, part: Floats) -> Floats:
-        """Start the searches of the bodies `due`. Returns for each body the relative displacement (bodies,) m of points and faces up
-        to which its search is valid."""
+        """Start the searches of the bodies `due`. Returns the relative displacement (bodies,) m of the points of each body and the
+        faces up to which the search is valid. part: see `searches.own_travel`."""
         far = np.zeros(len(self.spacing))
         near = {body: self._around(body, self.spacing[body] + 2.0 * travel) for body in due}
         s = self._searches = self._searches.begun(near, self.faces, self.points.x, x)

@@ -64,13 +64,13 @@ def _ignored(h: History) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def _deepest(h: History, margin: float, jump: float) -> float:
-    """Largest depth of a point that keeps its contact, m."""
+    """Largest depth (m) at which a point keeps its contact: its last depth plus `jump` (m), but at most `margin` (m)."""
     return min(margin, h.depth[0] + _ignored(h) + jump)
 
 
 @njit(cache=True, nogil=True)
 def deepest(rows: Ints, history: Histories, points: Points, jump: float) -> Floats:
-    """Largest depth (k,) m at which each of the points `rows` keeps its contact, see `_update_history`."""
+    """Largest depth (k,) m at which each of the points `rows` keeps its contact (`_deepest`). jump: in spacings."""
     limit = np.empty(len(rows))
     for q in range(len(rows)):
         i = rows[q]
@@ -335,8 +335,8 @@ def contact_forces(
     team: Ints, dt: float, constants: Constants, points: Points, nodes: Nodes, c: Candidates, faces: Faces, motion: Motion,
     proj: Projections, history: Histories, pushes: Pushes, sums: Floats,
 ) -> None:  # fmt: skip
-    """`project` the points pushes.rows, compute the forces between them and their closest faces, and add them to points.f and
-    nodes.f, in all threads. sums (PARTS,3): the columns of `lost` in `project`, and the heat of friction, J, in the first row.
+    """`project` the points pushes.rows, compute the forces between them and their closest faces, and add them to points.f and nodes.f,
+    in all threads. sums (PARTS,3): `lost` of `project` is added to the first two columns, the heat of friction, J, to sums[0, 2].
 
     Forces are opposite and equal, and their moments cancel. The penetration is minus the signed gap, less the ignored depth. The
     normal force acts along the line to the closest point (`_normal`). Friction acts only with the body in which the point lies

@@ -89,8 +89,8 @@ class Constants(NamedTuple):
 class Pushes(NamedTuple):
     """Forces of the points `rows` (k,) in a step, before they are added up. due (k,): mask of the points in contact or projected in the
     step; the others have no force, and their values below are old. force (k,2,3) N: on the point, from each of its two bodies; couple
-    (k,3,3) N: on the nodes of the first body's face, which balances the moment of friction; heat (k,2) J: heat of friction of a
-    point, and the part of it that goes to the face. heat_point (n,), heat_face (f,) J: sums for all points and faces."""
+    (k,3,3) N: forces on the nodes of the first body's face that balance the moment of friction; heat (k,2) J: heat of friction of a
+    point, and the part of it that goes to the face. heat_point (n,), heat_face (f,) J: see `contact.ContactState`."""
 
     rows: Ints
     due: Bools

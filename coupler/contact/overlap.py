@@ -12,8 +12,8 @@ from .surfaces import Surfaces, neighbours
 def lying_inside(
     surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """For each body, yield its index, the surface nodes (k,) of other bodies that lie inside it, their depths (k,) m, and the
-    closest facet (k,) of the body. Only pairs with one of `bodies` count. x (N,3) m."""
+    """For each body, yield its index, the surface nodes (k,) of other bodies that lie inside it, their depths (k,) m, and the closest
+    facet (k,) of the body. Only pairs of bodies with at least one in `bodies` count. x (N,3) m."""
     asked = np.zeros(surfaces.bodies, bool)
     asked[list(bodies)] = True
     low, high = surfaces.boxes(x)
@@ -35,7 +35,7 @@ def lying_inside(
 
 
 def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
-    """Depth (N,) m of each surface node inside another body, 0 outside. Only pairs with one of `bodies` count. x (N,3) m."""
+    """Depth (N,) m of each surface node in another body, else 0. Only pairs with at least one body in `bodies` count. x (N,3) m."""
     depth = np.zeros(len(x))
     for _, nodes, own, _ in lying_inside(surfaces, x, bodies):
         np.maximum.at(depth, nodes, own)

@@ -18,10 +18,10 @@ WIDE = 2.0  # a search that reaches this many times as far as a new one has too 
 class Searches(NamedTuple):
     """Data of the last search of the points of each body. Body b has the points bounds[b] to bounds[b + 1] - 1.
 
-    reach (bodies,) m: the search of a body is valid while its points and the faces near them have moved less than this relative to
-    each other; active (bodies,): and while at most this number of nodes moves, the first ones. x (n,3) m: positions of the points at
-    the search. facing[first_face[b]:first_face[b + 1]]: faces that the points of body b can ever touch; known: mask of those that
-    were near. nodes[first_node[b]:first_node[b + 1]]: nodes of these near faces; node_x (m): their positions at the search.
+    reach (bodies,) m, active (bodies,): the search of body b is valid while its points and the faces near them have moved less than
+    reach[b] relative to each other, and only the first active[b] nodes, or fewer, move. x (n,3) m: positions of the points at the
+    search. facing[first_face[b]:first_face[b + 1]]: faces that the points of body b can ever touch; known: mask of those that were
+    near. nodes[first_node[b]:first_node[b + 1]]: nodes of these near faces; node_x (m): their positions at the search.
     """
 
     bounds: Ints
@@ -52,12 +52,12 @@ class Searches(NamedTuple):
         return self.facing[here][self.known[here]]
 
     def nodes_near(self, body: int) -> Ints:
-        """The nodes of these faces."""
+        """The nodes of the faces `faces_near` of a body."""
         return self.nodes[self.first_node[body] : self.first_node[body + 1]]
 
     def begun(self, near: dict[int, Ints], faces: Faces, points: Floats, x: Floats) -> "Searches":
-        """The data after the start of a search of some bodies, at the positions points (n,3), x (N,3) m. near: for each of these
-        bodies, the faces near its points. The arrays of fixed length change in place; the new `reach` is -inf."""
+        """The data after new searches of some bodies have started, at the positions points (n,3), x (N,3) m. near: for each of these
+        bodies, the faces near its points. Sets `reach` of these bodies to -inf. Only nodes, first_node and node_x are new arrays."""
         is_near, nodes, node_x = np.zeros(len(faces), bool), list[Ints](), list[Floats]()
         for body in range(len(self.reach)):
             if body in near:
@@ -101,8 +101,8 @@ def _is_valid(
     faces: Faces,
     s: Searches,
 ) -> bool:
-    """Whether the last search of a body stays valid, is not too wide, and no other face can come near while surfaces move by `travel`
-    m. Arguments as in `valid_searches`."""
+    """Whether the last search of a body stays valid while surfaces move by `travel` m, so that no other face comes near. False also if
+    it reaches more than WIDE times as far as a new one. Arguments as in `valid_searches`; spacing: of this body."""
     own = own_travel(body, travel, part, points, s)
     if active > s.active[body] or s.reach[body] <= own or s.reach[body] > WIDE * (own + skin * spacing):
         return False
@@ -140,8 +140,8 @@ def valid_searches(
 ) -> None:  # fmt: skip
     """Write to valid (bodies,) whether the last search of each body stays valid while surfaces move by `travel` m, in all threads.
 
-    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; skin: spacings that a search
-    reaches beyond the displacement in its own chunk of steps; x (N,3) m: nodes.
+    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; skin: displacement, in spacings,
+    for which a search is valid in addition to that in its first chunk of steps; x (N,3) m: nodes.
     """
     for lo, hi, _ in ranges(team, 0, len(valid), LEAST_BODIES):
         for body in range(lo, hi):

@@ -81,9 +81,9 @@ class Surfaces:
 class Interface:
     """Surface nodes of one body, each with the facet of another body on which it lies.
 
-    nodes (n,); facet (n,): indices in `Surfaces`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m: signed
-    distance to it; area (n,) m2: a third of the area of those own facets whose three nodes all lie on other bodies. own (p,2):
-    pairs of a row of these arrays and such an own facet of its node.
+    nodes (n,); facet (n,): indices in `Surfaces.facets`; weights (n,3): barycentric coordinates of the closest point; gap (n,) m:
+    signed distance to it; area (n,) m2: a third of the area of the covered facets around the node: facets of its body whose three nodes
+    all lie on other bodies. own (p,2): row of a node in these arrays, and index of a covered facet around it.
     """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64)]

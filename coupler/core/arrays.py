@@ -47,10 +47,10 @@ class Links(NamedTuple):
         return cls(*map(np.concatenate, zip(none, *parts, strict=True)))
 
     def row_sums(self) -> Floats:
-        """Row sums (k,4) of the matrix of each link, in the order of its ends."""
+        """Sums (k,4) of the absolute values in each row of a link's 4 x 4 matrix, in the order of its ends."""
         share = np.abs(self.weights)
         return self.strength[:, None] * share * (1.0 + share[:, 1:].sum(axis=1))[:, None]
 
     def load(self, size: int) -> Floats:
-        """Row sums (size,) of the matrix of all links: the largest row sum / mass is a bound on omega^2 (Gershgorin)."""
+        """`row_sums` of all links, added at each of `size` nodes: the largest sum / mass is an upper bound on omega^2 (Gershgorin)."""
         return np.asarray(np.bincount(self.ends.ravel(), self.row_sums().ravel(), size), float)

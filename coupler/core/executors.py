@@ -80,7 +80,7 @@ def without_interrupts() -> Iterator[None]:
 
 
 def begin_worker(parent: int) -> None:
-    """Prepare this process to compute for its parent process, and to end when that ends or crashes. parent: process id."""
+    """Prepare this process to compute for its parent process, and to end when the parent ends or crashes. parent: process id."""
     search_cycles_less()
 
     def watch() -> None:

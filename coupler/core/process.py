@@ -29,7 +29,7 @@ def cores() -> int:
 
 
 def search_cycles_less() -> None:
-    """Let this process search for cycles of references less often, and not as it ends: the system frees its memory, and the last
+    """Let this process search for cycles of references less often, and not at its end: there the system frees the memory, and the
     searches would take 0.5 s."""
     gc.set_threshold(SEARCH_AFTER)
     atexit.register(gc.freeze)
@@ -37,7 +37,7 @@ def search_cycles_less() -> None:
 
 @contextmanager
 def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
-    """Context in which these signals call the handler. Without effect outside the main thread, which alone receives signals."""
+    """Context in which the signals `numbers` call the handler. Only the main thread receives signals: no effect in others."""
     is_main = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, handler) for number in numbers if is_main}
     try:
@@ -48,8 +48,8 @@ def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> 
 
 
 def interrupted_by(*numbers: int) -> AbstractContextManager[None]:
-    """Context in which each of these signals raises KeyboardInterrupt with its number, except those that the process ignores, as under
-    nohup."""
+    """Context in which each of the signals `numbers` raises KeyboardInterrupt with its number. Signals that the process ignores, as
+    under nohup, remain ignored."""
 
     def end(number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt(number)

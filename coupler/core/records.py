@@ -42,8 +42,8 @@ class Shape:
 class Rows(Shape):
     """Annotation of an array field that has a row of this shape for each node, element or point. fill: initial value.
 
-    lammps: whether LAMMPS stores the array. least: lower bound of the values on a mesh made of points; None: the least value of the
-    points is the bound. dtype, index_of: as in `Shape`.
+    lammps: whether LAMMPS stores the array. least: lower bound of the values in a splat's mesh, to which they pass from points;
+    None: the bound is the smallest value of the points. dtype, index_of: as in `Shape`.
     """
 
     def __init__(
@@ -92,8 +92,8 @@ def unfit(problem: str) -> CheckpointError:
 
 
 def copied(record: R) -> R:
-    """A copy of the record that an object is or derives from, with copies of its arrays, dicts and parts. Other objects, such as None
-    and numbers, are returned unchanged."""
+    """A copy of a record, with copies of its arrays, dicts and parts. The copy of an object whose class derives
+    from a record has only the fields of the record. Other objects, such as None and numbers, are returned unchanged."""
     if isinstance(record, np.ndarray | dict):
         return record.copy()  # type: ignore[return-value]
     if not hasattr(record, "__dataclass_fields__"):

@@ -40,7 +40,7 @@ class Team:
             thread.start()
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
-        """Give the call work(team) to the other threads. Returns the team that the calling thread uses for its own call."""
+        """Give the call work(team) to the other threads. Returns `team` (`loops.ranges`) for the same call in the calling thread."""
         team, self._next = self._next, np.zeros(FAILED + 1, np.int64)
         for queue in self._begun:
             queue.put((work, self._next))

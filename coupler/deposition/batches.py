@@ -55,8 +55,8 @@ def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor 
 def tasks(
     plan: Plan, batch: Batch, whole: Bodies, folder: Path, about: Mapping[str, str]
 ) -> Iterator[tuple[Task, Cut]]:
-    """The impacts of a batch with their sub-domains, up to the first whose sub-domain shares a node with an earlier one. whole: the
-    full domain; folder: folder of the run; about: as in `Task`. A generator: each sub-domain is made when it is requested."""
+    """The impacts of a batch with their sub-domains. An impact whose sub-domain shares a node with an earlier one is left out, and all
+    after it. whole: full domain; folder: that of the run; about: as in `Task`. A generator: each sub-domain is made on request."""
     occupied = np.zeros(len(whole.target.nodes.x), bool)
     indices = range(batch.first, batch.stop)
     places = points_of_impact(whole, [plan.impacts[i].offset for i in indices])
@@ -72,11 +72,11 @@ def tasks(
 def side_by_side(
     pool: Executor, found: Iterator[tuple[Task, Cut]], folder: Path, options: RunOptions, meanwhile: Callable[[], None]
 ) -> list[Done]:
-    """Compute the tasks `found` in parallel processes.
+    """Compute the tasks `found` in parallel processes. Returns the finished tasks, in their order.
 
-    Each task starts as soon as its sub-domain is made. The running tasks share the threads of the run; when tasks end, the file SPARE
-    gives their threads to the others. The file STOP stops all tasks. meanwhile(): called once while the tasks run. Raises Stopped after
-    a signal, ColdsprayError if a process is ended from outside.
+    Each task starts as soon as its sub-domain is made. The running tasks share the threads of the run. When tasks end, the file SPARE
+    contains a greater number of threads for each of the others. The file STOP stops all tasks. meanwhile(): called once while the
+    tasks run. Raises Stopped after a signal to this process, ColdsprayError if a process of the pool is killed.
     """
     begun = list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
     stop, spare = folder / STOP, folder / SPARE
@@ -116,7 +116,7 @@ def side_by_side(
 
 
 def clear(folder: Path, impacts: int | None = None) -> None:
-    """Remove the folders of the tasks of a run. impacts: only those of this many first impacts; default: all."""
+    """Remove the folders of the tasks of a run. impacts: only the folders of the first `impacts` impacts; None: all."""
     if impacts is None:
         shutil.rmtree(folder / TASKS, ignore_errors=True)
         return

@@ -17,12 +17,12 @@ REASON = "no chain of unbroken bonds connects it to the substrate"
 
 
 def release_time(plan: Plan) -> float:
-    """Time (s) for which the energy that joining releases is observed: a wave crosses the largest particle (at most 25 um)."""
+    """Time (s) in which the energy released by joining is measured: proportional to the largest diameter, constant above 25 um."""
     return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
 def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tuple[Bodies, list[Values]]:
-    """The bodies without the splats that are not attached, not in equilibrium; and a record of each removed splat.
+    """Remove bodies that are not attached. Returns the others, not yet in equilibrium, and a record of each splat with removed bodies.
 
     number: number of the last impact; stage: in which the bonds broke. Keys of a record: splat and by_impact (numbers of impacts),
     stage, bodies and mass_kg (removed), velocity_z_m_s, reason.
@@ -45,8 +45,8 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
 
 
 def all_attached(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
-    """The bodies at rest without splats that are not attached, and the records of these. After each removal the others come to rest
-    again, until all are attached. Arguments as for `without_detached`; kinetic_0: initial kinetic energy of the impact, J."""
+    """Remove bodies that are not attached, and bring the others to rest; repeat this until all are attached. Returns these bodies and
+    the records of the removals. Arguments as for `without_detached`; kinetic_0: kinetic energy of the impacts before, J."""
     records: list[Values] = []
     while True:
         bodies, detached = without_detached(plan, bodies, number, stage)

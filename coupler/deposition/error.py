@@ -32,7 +32,7 @@ Compute = Callable[[Scene, Path, float, Mapping[str, float], int], None]
 @dataclass
 class Companions:
     """The coarser runs of a run, from which its error is computed. plan, folder, numerics: plan, folder and numerics of the run;
-    compute: function that computes a scene in any process."""
+    compute: function that computes a scene; it can be sent to another process."""
 
     plan: Plan
     folder: Path
@@ -96,7 +96,7 @@ class Companions:
 
 
 def _in_own_process(companions: Companions, parent: int) -> None:
-    """Compute the coarser runs, in a process that ends with its parent."""
+    """Compute the coarser runs in this process, which ends when its parent process ends. parent: process id of the parent."""
     begin_worker(parent)
     with contextlib.suppress(KeyboardInterrupt):
         companions.all(threads=1)

@@ -38,8 +38,8 @@ from .task import Task, TaskFiles, TaskState, attempt
 @dataclass(frozen=True)
 class DepositionState:
     """State of a run before a batch of impacts. bodies: the target; store: state of the files; records, joins: records of the
-    finished impacts, and reports of the joining of their splats; wall: wall time so far, s; within: state of an impact on the full
-    domain that is not finished; None if there is none."""
+    finished impacts, and reports of the joining of their splats; wall: wall time so far, s; within: state of an unfinished impact that
+    is computed on the full domain, or None."""
 
     bodies: BodiesState
     store: StoreState
@@ -94,8 +94,9 @@ class Deposition:
         return None if self.undecided else self.plan.batch_from(len(self.records))
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
-        """Compute the impacts of a batch, each on its own sub-domain of the target. Returns the results up to the first undecided
-        impact. An impact that fails is removed from the plan and the result is empty, or its error is raised."""
+        """Compute the impacts of a batch, each on its own sub-domain of the target. Returns the results up to and including the first
+        undecided impact. If the run may skip impacts, one that fails or is undecided leaves the plan, and the result is an empty list;
+        otherwise the error of an impact that fails is raised."""
         done = self._done(batch, target)
         for k, each in enumerate(done):
             error = each.result if isinstance(each.result, ColdsprayError) else None
@@ -168,7 +169,7 @@ class Deposition:
         self._unwritten = None if is_written else replay
 
     def cool(self, target: Bodies) -> Bodies:
-        """The closing stage of a plan that has one: bodies cool to ambient, settle and are written. Returns those that stay."""
+        """The bodies after the closing stage, without detached splats; they are also written. Without this stage: `target`."""
         if self.plan.ambient is None or self.undecided:
             return target
         if not self.can_continue:
@@ -238,8 +239,8 @@ class Deposition:
             ) from error
 
     def _catch_up(self, batch: Batch, target: Bodies) -> None:
-        """Write the files of the last batch and a checkpoint of the target, while worker processes compute the next batch. A resumed
-        run first continues from the results in the folders of its tasks."""
+        """Write the files of the last batch and a checkpoint of `target`, and remove the folders of finished tasks. A resumed run
+        continues from the remaining folders. batch: the next batch; worker processes, if any, already compute it."""
         self.write_files()
         if self._resumed is None and (self.records or not batch.is_whole):
             self._save(target, self.store.state())

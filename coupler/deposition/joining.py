@@ -32,11 +32,11 @@ RELEASED_BOUND = 0.005
 
 
 def join(impact: Impact, record: Values, progress: Progress, place: Point) -> tuple[Bodies, Values]:
-    """The bodies of a sub-domain after an impact, with its splat, at rest within its window; and a report.
+    """The bodies of a sub-domain with the splat of an impact, at rest within the window of the impact; and a report.
 
-    impact, record: finished impact, and its entry in the summary; place: impact point, m, from which the bodies are numbered. A
-    particle that has rebounded does not join. Splats without bonds are removed later, on the full domain (`rest`). Raises SolverError
-    if the particle cannot be meshed, or joining releases more than RELEASED_BOUND.
+    impact, record: finished impact, and its entry in the summary; place: impact point, m, from which nodes and elements are numbered
+    outwards. A particle that has rebounded does not join. Splats without bonds are removed later, on the full domain (`rest`). Raises
+    SolverError if the particle cannot be meshed, or if joining releases more than RELEASED_BOUND of the impact's kinetic energy.
     """
     started, particle, kinetic_0 = clock.perf_counter(), impact.particle, float(record["kinetic_energy_0_J"])
     i = impact.domains.i
@@ -110,7 +110,7 @@ def _with_splat(impact: Impact, place: Point) -> tuple[Bodies, Values]:
 
 
 def _settled(impact: Impact, kinetic_0: float, new: Bodies) -> Values:
-    """Bring the bodies after an impact to rest within its window."""
+    """Bring the bodies `new` to rest within the window of the impact. Returns the result of `settle`. kinetic_0: as there."""
     new.target.set_window(impact.domains.own.window)
     return settle(new, kinetic_0, release_time(impact.domains.plan), back=displacement_back(impact.target, new.target))
 

@@ -43,11 +43,11 @@ _EXACT = 1e-6  # K: accuracy of a given temperature
 def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
     """Conduct heat for `time` s, and bring the bodies to equilibrium again. Returns the report.
 
-    kinetic_0: kinetic energy of the impacts before, J; radius: distance from the point of impact, m, within which the impacts
-    have left the bodies out of equilibrium. Bottom and sides of the substrate keep its temperature; the jet heats the
-    surface if the scene has a spray; other surfaces are insulated; touching bodies conduct as in perfect contact. A first
-    equilibrium relaxes the imbalance from the impacts, which is not thermal. Both equilibria also include the
-    elements whose temperature changes by more than `COOLER`, or whose plastic strain recovers.
+    kinetic_0: kinetic energy of the impacts before, J; radius: distance from the impact points, m, within which the impacts have left
+    the bodies out of equilibrium. Bottom and sides of the substrate keep the initial temperature; the jet heats the surface if the
+    scene has a spray; other surfaces are insulated; touching bodies conduct as in perfect contact. A first equilibrium relaxes the
+    imbalance from the impacts, a second one that from the changes of temperature. Both extend to `radius`, or farther to the last
+    element whose temperature changes by more than `COOLER` or whose plastic strain recovers.
     """
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
@@ -108,7 +108,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
 
 
 def _balance(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> float:
-    """Relax the imbalance from the impacts without the pending heat. Returns the number of steps."""
+    """Relax the imbalance from the impacts; heat that has not yet raised pressures is kept for later. Returns the number of steps."""
     t = bodies.target
     heat = t.elements.heat.copy()
     t.elements.heat[:] = 0.0
@@ -192,8 +192,8 @@ def _energy_of(law: np.ndarray, strain: float) -> float:
 
 
 def _missing_energy(metal: Material, T: float, ambient: float, law: np.ndarray, shared: float) -> float:
-    """Energy (J/m3) beyond the heat from T to ambient (K) with which the equation of state gives the strain of `_contraction`, without
-    the energy for the strain `shared`, which all bodies have."""
+    """Energy (J/m3) with which the equation of state gives the strain of `_contraction`. Two parts are subtracted: the energy of the
+    strain `shared`, which all bodies have, and the heat from T to ambient (K). law: constants of the metal."""
     heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T) if metal.Gamma0 else 0.0
     return _energy_of(law, _contraction(metal, T, ambient)) - _energy_of(law, shared) - heat
 

@@ -16,9 +16,9 @@ from .task import Task, TaskResult
 
 @dataclass(frozen=True)
 class _Written:
-    """Files of a task, and the place of its sub-domain in the full domain. folder, store: folder and store of the files; nodes,
-    elements: indices of the sub-domain in the full domain; changed: indices of the nodes that the impact can move; more: number of
-    nodes and elements of its splat; before: simulated time of the earlier impacts, s."""
+    """Files of a task, and the place of its sub-domain in the full domain. folder, store: folder and state of the files; nodes,
+    elements: those of the sub-domain; changed: nodes that the impact can move, all three as indices in the full domain; more: numbers
+    of nodes and of elements of its splat; before: simulated time of the earlier impacts, s."""
 
     folder: Path
     store: StoreState
@@ -49,7 +49,7 @@ class BatchReplay:
         self._impacts.append(_Written(task.folder, result.store, *indices, cut.nodes, more, before))
 
     def write(self, store: Store) -> None:
-        """Append the files of the tasks to the files of the run; their targets become parts of the full domain."""
+        """Append the files of the tasks to the files of the run; fields of a sub-domain become a part of those of the full domain."""
         for each in self._impacts:
             self._append(store, each)
             self._go_on(each)

@@ -57,15 +57,15 @@ def run(
 
     out: folder for the files; default: runs/<scene name>. force: replace a finished run there. progress: receives the progress;
     default: a bar or lines on standard error, nothing with quiet. threads: number of threads that share the loops of a step;
-    default: from the numbers of cores and points; it does not change the numbers. numerics: values that replace defaults of
-    `coupler.particle.particle.Numerics`, for studies of the scheme. probe(impact): called after each chunk of steps with the
-    `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: wall time between checkpoints, s. skip_failed:
-    leave out an impact that fails, if there are several, in one process. jobs: impacts of a batch (`plan.batches`) at the same
-    time, each in its own process; it does not change the numbers. error: compute coarser runs, which give the error of each
+    default: from the numbers of cores and points. numerics: values that replace defaults of `coupler.particle.particle.Numerics`, for
+    studies of the scheme. probe(impact): called after each chunk of steps with the `impact.exchange.Impact`, on the rank that has the
+    target. checkpoint_every: wall time between checkpoints, s. skip_failed: leave out an impact that fails or is undecided; only for
+    a scene of several impacts on one MPI rank. jobs: how many impacts of a batch (`plan.batches`) are computed at the same time, each
+    in its own process. The results do not depend on threads and jobs. error: compute coarser runs, which give the error of each
     measure; None: as the scene says, by default not.
 
     With mpiexec all ranks call this function: the last rank has the target, the others share the particle. Raises SceneError,
-    StoreError or SolverError, on all ranks; files that were written before an error or an interrupt stay readable.
+    StoreError, SolverError or NoContactError, on all ranks; files written before an error or an interrupt stay readable.
     """
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
@@ -114,8 +114,8 @@ def resume(
 
     The number of ranks may change. A finished run is returned unchanged. An undecided run continues its last impact until `until` (s,
     time of this impact); by default the time limit is doubled. A run that met its end criterion without a verdict
-    (`Result.at_own_end`) continues only with `until`. error: measure the error if the run was started with it. Other arguments and
-    errors as for `run`; also raises CheckpointError for a checkpoint of another version or scene, or if `until` is already reached.
+    (`Result.at_own_end`) continues only with `until`. error: compute coarser runs if the run was started with `error`. Other arguments
+    and errors as for `run`; also raises CheckpointError for a checkpoint of another version or scene, or if `until` is already reached.
     """
     folder = Path(out)
     result = Result(folder)
@@ -210,7 +210,7 @@ class _Compiling(event.TimingListener):
 
 
 def _complete(result: Result, companions: Companions | None, options: RunOptions) -> Result:
-    """The last stage of a run, after its summary: clear the checkpoints, draw the cross-section, measure the error."""
+    """After the summary: clear checkpoints if there is a verdict, draw the cross-section, measure the error. Returns the new Result."""
     if not is_first_rank():
         return result
     if result.has_verdict and not result.undecided:

@@ -101,8 +101,8 @@ def summary(
 
 
 def _efficiency(impacts: Sequence[Values]) -> Values:
-    """Deposition efficiency: mass that stayed divided by the mass of all particles. If particles are undecided it is None; also
-    returned is the range without and with their mass."""
+    """Deposition efficiency: mass that stayed, divided by the mass of all particles. If particles are undecided, it is replaced
+    by None, and its range without and with the mass of these particles is added."""
     least, most = efficiency_range(impacts)
     if most - least < 1e-12:
         return {"deposition_efficiency": least}
@@ -125,6 +125,6 @@ def unsettled(report: Values) -> list[str]:
 
 
 def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:
-    """A warning for each impact with a share above the limit."""
+    """A warning for each impact in which the share `key` is above the limit. words: text with the fields {share} and {limit}."""
     shares = {number: impact[key] for number, impact in enumerate(impacts, 1) if (impact[key] or 0.0) > limit}
     return [f"impact {number}: {words.format(share=share, limit=limit)}" for number, share in shares.items()]

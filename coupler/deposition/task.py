@@ -50,9 +50,9 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """Result of a task. bodies: bodies with the new splat, at rest. After an undecided impact, or a last one without closing stage:
-    the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined: reports of `prepare`
-    and `join`; store: state of the files."""
+    """Result of a task. bodies: bodies with the new splat, at rest. If the impact is undecided, or is the last of a plan without
+    closing stage, they are the bodies at the end of the impact, and `joined` is empty. record: record of the impact; prepared, joined:
+    reports of `prepare` and `join`; store: state of the files."""
 
     bodies: BodiesState
     record: ImpactRecord
@@ -155,8 +155,8 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
     from which nodes and elements are numbered outwards. Returns entries of the report.
 
     A few strongly deformed elements of splats would determine the time step of all later impacts: inertia is added to their
-    deformation (`fe.inertia`), and mass to the lightest nodes of surfaces, for the springs of contact. The domain far from the impact
-    is not computed: it is in equilibrium and acts as an elastic body (`Target.set_window`).
+    deformation (`fe.inertia`). The lightest surface nodes get mass, so that the contact springs are stable with a larger time step.
+    The domain far from the impact is not computed: it is in equilibrium and acts as an elastic body (`Target.set_window`).
     """
     report: Values = {}
     if i and plan.mass_scaling:

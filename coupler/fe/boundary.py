@@ -34,9 +34,9 @@ def dashpots(
 def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Static stiffness of a half-space at the facets HALF_SPACE: nodes (k,), and the stiffness matrix (k,3,3) N/m of each. G (m,) Pa.
 
-    The forces of a coating on its substrate have no resultant: displacements fall with the square of the distance R. For such a
-    centre of dilatation the normal traction on a sphere is -4 G u / R; the tangential stiffness is half of this, as in
-    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93). R is the distance from the axis of the mesh at z = 0.
+    The forces of a coating on its substrate have no resultant: displacements fall with the square of the distance R. For such a centre
+    of dilatation the normal traction on a sphere is -4 G u / R; the tangential stiffness is half of this, as in viscous-spring
+    boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93). R is the distance from the point of the mesh's axis at z = 0.
     """
     ids = mesh.sets.get(HALF_SPACE, np.zeros(0, np.int64))
     matrix = np.zeros((len(mesh.points), 3, 3))

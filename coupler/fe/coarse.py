@@ -40,8 +40,8 @@ def _stiffness(
     low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats,
     occurs: Bools,
 ) -> None:  # fmt: skip
-    """Add the elastic stiffness of the first m elements for displacements of the grid to A (g,g,3,3), by points and directions: the
-    stiffness is A + A^T. Writes only the rows of the grid points [low, high). occurs (g,g): mask of the blocks that are not zero.
+    """Add the elastic stiffness, N/m, of the first m elements for displacements of the grid to A (g,g,3,3), a block for two grid
+    points. The stiffness matrix is A + A^T, with A as (3g,3g). Writes only rows [low, high). occurs (g,g): mask of nonzero blocks.
 
     points, weights (n,8): grid points of each node, ascending, and their weights, 0 for a fixed node.
     """
@@ -150,8 +150,8 @@ def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _between(P: sparse.csr_array, springs: Links) -> sparse.csr_array:
-    """Stiffness matrix (g,g) N/m of springs between bodies for displacements of the grid, equal in all directions. It is 0 for
-    springs whose ends move together: most springs, except at the edge of the free nodes and after a slip."""
+    """Stiffness matrix (g,g) N/m of springs between bodies, for displacements of the grid in any one direction. Springs whose ends move
+    together add nothing: most springs, except at the edge of the free nodes and after a slip."""
     n, (ends, weights, stiffness) = P.shape[0], springs
     row, end = np.nonzero(ends < n)  # other nodes do not move
     apart = sparse.csr_array((weights[row, end], (row, ends[row, end])), shape=(len(ends), n)) @ P

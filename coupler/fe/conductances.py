@@ -160,8 +160,8 @@ def levels(
     lo: int, hi: int, c: Conductors, metals: Metals, nodal: Floats, T: Floats, share: Floats, k: Floats, excess: Floats, rate: Floats,
 ) -> None:  # fmt: skip
     """Write, for each element: its conductivity at the mean temperature of its nodes, k (m,) W/mK; its temperature less this mean,
-    excess (m,) K; the rate at which this excess decays, k v tr(sum b b^T) / capacity, rate (m,) 1/s. share (m,) J/K: a quarter of
-    its capacity."""
+    excess (m,) K; the rate at which this excess decays, 2 k sum(w) / capacity, rate (m,) 1/s (w: see `Conductors`). share (m,) J/K: a
+    quarter of its capacity."""
     for e in range(lo, hi):
         n, w = c.conn[e], c.w[e]
         mean = 0.25 * (nodal[n[0]] + nodal[n[1]] + nodal[n[2]] + nodal[n[3]])

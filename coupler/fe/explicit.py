@@ -40,10 +40,10 @@ LEAST_ELEMENTS = 1000  # in a range of a shared loop
 class TargetState:
     """State from which a target continues with the same numbers; the mesh is not part of it.
 
-    force_suffix_sum (n+1,3) N: row i is the sum of the nodal forces of nodes i and above when they became inactive; drag (d,3) N:
-    forces of the dashpots; support (3,) N: external force; dt_last (s); reach (m): distance of the front of active elements; horizon
-    (m): radius of the window; least_mass (kg): see `weigh_surface`; active_nodes, active_elements: numbers of computed nodes and
-    elements; edge: elastic edge of the window; rest_scale: factor by which the half-space has contracted.
+    force_suffix_sum (n+1,3) N: row i is the sum of the internal forces of all nodes from i on, at the last `deactivate_beyond`; drag
+    (d,3) N: forces of the dashpots; support (3,) N: force of supports and absorbing sides; dt_last (s); reach (m): distance of the
+    front of active elements; horizon (m): radius of the window; least_mass (kg): see `weigh_surface`; active_nodes, active_elements:
+    numbers of computed nodes and elements; edge: elastic edge of the window; rest_scale: present / initial size of the half-space.
     """
 
     nodes: NodeState
@@ -164,7 +164,7 @@ class Target(TargetState):
 
     def set_window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
         """Exclude all elements farther than `radius` m from the point of impact (`fe.window`). The excluded elements must be at rest
-        and in equilibrium. A target keeps its window. Returns the number of elements inside.
+        and in equilibrium. The window cannot be removed. Returns the number of elements inside.
 
         origin (3,) m: point of impact, for an elastic edge; None: the edge is fixed. rest (k,3) m: rest positions of the elastic
         edge, by default the present ones.
@@ -341,7 +341,7 @@ class Target(TargetState):
         self._store_inactive_forces()
 
     def rest(self) -> None:
-        """Set all velocities of the target to zero."""
+        """Set all velocities to zero, by an external impulse. Removes the added masses of `weigh_surface` and `inertia`."""
         # an external impulse stops the target
         self.balance.impulse = self.external_impulse() - self.mass @ self.nodes.v
         self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0

@@ -32,9 +32,9 @@ def growing(target: Target) -> Iterator[None]:
 def _grow(m: int, grown: Floats, x: Floats, c: Cells, at_node: Floats, share: Floats, eps_gradient: Floats) -> None:
     """Add the gradient of the plastic strain of a chunk of steps to eps_gradient (m,3) 1/m of the first m elements.
 
-    grown (m,): plastic strain of the chunk. It is averaged at the nodes, weighted with the volumes around them; at_node, share
-    (n,): work arrays. The gradient is taken in the current configuration and stored in the unrotated frame, R^T F^-T = U^-1, as
-    Huang et al. (2004) integrate it.
+    grown (m,): plastic strain of the chunk. It is averaged at the nodes, weighted with the volumes around them; at_node, share (n,):
+    work arrays. The stored gradient is R^T F^-T = U^-1 times that in the reference configuration: it is taken in the current
+    configuration and rotated back, as Huang et al. (2004) integrate it.
     """
     conn, V0 = c.conn, c.V0
     for e in range(m):

@@ -47,9 +47,9 @@ class ConductionState:
 
 
 class Flow(NamedTuple):
-    """Arrays of the kernels. Elements: share (m,) J/K: a quarter of the heat capacity; rate (m,) 1/s; flow (m,4) W: heat flow into
-    the nodes; own (m,) K: decrease of T towards the mean of the nodes; gain (m,) J: heat gained; last (m,) K. Nodes: capacity (n,)
-    J/K; T, mean, change (n,) K."""
+    """Arrays of the kernels. Elements: share (m,) J/K: a quarter of the heat capacity; rate (m,) 1/s: see `_flows`; flow (m,4) W: heat
+    flow into the nodes; own (m,) K: decrease of T towards the mean of the nodes; gain (m,) J: heat gained; last (m,) K: see
+    `ConductionState`. Nodes: capacity (n,) J/K; T (n,) K; mean (n,) K: see `means`; change (n,) K: rise of T in a step."""
 
     share: Floats
     rate: Floats
@@ -109,7 +109,7 @@ class Conduction(ConductionState):
             self.known_elements = m
 
     def flows(self, t: FiniteElements) -> float:
-        """Write the heat flow between nodes to arrays.flow, W. Returns the largest rate at which an element loses its excess, 1/s."""
+        """Do `_flows` for the active elements: writes arrays.flow, W, and arrays.rate, 1/s. Returns the largest rate, 1/s."""
         fastest = np.zeros(PARTS)
         m, volume = t.active_elements, t.elements.volume
         together(_flows, m, t.nodes.x, volume, t.cells, t.metals, self.arrays, fastest)
@@ -127,7 +127,7 @@ def _averages(team: Ints, n: int, m: int, c: Cells, metals: Metals, T: Floats, v
 
 @njit(cache=True, nogil=True)
 def _level(team: Ints, n: int, m: int, dt: float, c: Cells, metals: Metals, elements: Elements, a: Flow) -> None:
-    """One step of conduction over dt (s) for the first n nodes and m elements, with the heat flow in a.flow, in all threads."""
+    """Do one step of conduction over dt (s), after `_flows`, for the first n nodes and m elements, in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST):
         for e in range(lo, hi):  # decrease of the excess over the mean of the nodes
             n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
@@ -172,10 +172,10 @@ def means(lo: int, hi: int, c: Cells, share: Floats, value: Floats, capacity: Fl
 
 @njit(cache=True, nogil=True)
 def _flows(team: Ints, m: int, x: Floats, volume: Floats, c: Cells, metals: Metals, a: Flow, fastest: Floats) -> None:
-    """Write the heat flow of the first m elements into their nodes, -k v b_I . grad T, to a.flow (m,4) W, in all threads.
+    """Write the heat flow of the first m elements into each node I, -k v b_I . grad T, to a.flow (m,4) W, in all threads.
 
-    k is the conductivity at the mean temperature of the nodes. a.rate (m,) 1/s: k v tr(sum b b^T) / capacity; fastest (PARTS,) 1/s:
-    the largest rate, part by part.
+    k: conductivity at the mean temperature of the nodes; v: current volume; b_I: gradient of the shape function. Also writes a.rate
+    (m,) 1/s: k v sum |b_I|^2 / capacity; fastest (PARTS,) 1/s: the largest rate in each part of the loop.
     """
     T, flow, rate = a.T, a.flow, a.rate
     for lo, hi, part in ranges(team, 0, m, LEAST):
@@ -209,8 +209,8 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 @njit(cache=True, nogil=True)
 def add_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
-    """Add heat gain (m,) J to elements: T increases by the enthalpy, sigma_y decreases by softening, and `heat` increases by the
-    part that raises pressure. Returns the sum of this part, J."""
+    """Add the heat gain (m,) J to elements: T rises with the enthalpy, sigma_y decreases by softening, and `heat` increases by the part
+    that raises pressure. Returns the sum of this part, J."""
     total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:

@@ -23,9 +23,9 @@ MOST = 150  # elements: the matrix of their nodes is inverted in each chunk of s
 
 @dataclass(eq=False)
 class InertiaState:
-    """State of an `ElementInertia`. last (k,): nodes of the scaled elements in the last step; taken (k,3) N: reduction of the forces
-    on these nodes in the last step; most (kg): limit of the added mass, which is the sum of ((T / t_e)^2 - 1) m_e; 0 means no
-    scaling."""
+    """State of an `ElementInertia`. last (k,): nodes of the scaled elements in the last step; taken (k,3) N: reduction of the forces on
+    these nodes in the last step; most (kg): limit of the sum of (factor - 1) m_e, the added mass, over the scaled elements of mass m_e;
+    0 means no scaling."""
 
     most: float = 0.0
     last: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")] = field(
@@ -37,7 +37,7 @@ class InertiaState:
 class ElementInertia(InertiaState):
     """The elements of one target that have an added inertia (scaled elements). They are chosen before each chunk of steps.
 
-    elements (s,): their indices; factor (s,): (T / t_e)^2 of each; nodes (k,): their nodes that are not fixed.
+    elements (s,): indices; factor (s,): (time step with added inertia / own time step)^2; nodes (k,): their nodes that are not fixed.
     """
 
     def __init__(self) -> None:
@@ -86,8 +86,8 @@ class ElementInertia(InertiaState):
             f[self.nodes] = self._share @ f[self.nodes]
 
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
-        """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns the
-        reduction of their work in the step, J, and of their sum, (3,) N, which acts on fixed nodes."""
+        """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns, for
+        the forces that this takes away, their work in the step, J, and their sum (3,) N, which fixed nodes carry."""
         work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))
         before = total[self.nodes]
         moving = self.nodes < n

@@ -59,7 +59,7 @@ def nodal_pressure(
 
 @njit(cache=True, nogil=True, inline="always")
 def shape_strain(J: float) -> float:
-    """ln(J / J_limit) of a tetrahedron whose volume ratio J lies outside [SHAPE_LIMIT, 1 / SHAPE_LIMIT], else 0.
+    """0 for a tetrahedron with volume ratio J in [SHAPE_LIMIT, 1 / SHAPE_LIMIT], else ln(J / J_limit). J_limit: the nearer limit.
 
     With averaged nodal pressure neighbouring elements can exchange volume: in a fast crater some shrink to a twentieth of their
     volume and reduce the time step. The energy psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) resists this with a small share of the

@@ -31,8 +31,8 @@ PERTURBED_ELEMENTS = 12  # number of elements, those with the smallest bounds, w
 
 
 class Response(NamedTuple):
-    """A small motion w (n,3) of the nodes, its squares (n,), and the response of the operator: change dv (m,) of volumes, change dp
-    (n,) of mean stresses, forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of motion."""
+    """A small motion w (n,3) of the nodes, the squares (n,) of its rows, and the linear response to w: change dv (m,) of volumes,
+    change dp (n,) of mean stresses, forces fe (m,4,3) of elements and f (n,3) of nodes, in m3, Pa and N for w in m."""
 
     w: Floats
     square: Floats

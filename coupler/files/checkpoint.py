@@ -97,7 +97,7 @@ def latest(
 
 def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
     """The state in a checkpoint file, a record of class `kind`. about: data that identify the run. Raises CheckpointError if the file
-    is damaged or has another record, OtherVersion if it belongs to another version or scene."""
+    is damaged or its record has another class, OtherVersion if its format or its value for a key of `about` differs."""
     try:
         with open(path, "rb") as stream, NpzFile(stream) as arrays:
             text = arrays["header"].tobytes()

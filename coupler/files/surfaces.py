@@ -175,7 +175,7 @@ def _triangulated(polygon: list[int], x: NDArray[np.float64]) -> list[list[int]]
 
 
 def _is_ear(corner: list[int], polygon: list[int], normal: NDArray, x: NDArray) -> bool:
-    """Whether a corner of a polygon (with the corners before and after it) is convex, and its triangle contains no other corner."""
+    """Whether the middle one of three successive corners is convex, and their triangle contains no other. normal: of the polygon."""
     ends = x[corner]
     inwards = np.cross(normal, np.roll(ends, -1, axis=0) - ends)
     others = x[[i for i in polygon if i not in corner]]

@@ -22,7 +22,7 @@ Columns = dict[int, NDArray[np.float64]]  # numbers of each numeric column by it
 @dataclass(frozen=True)
 class Table:
     """A table of numbers. columns: name -> numbers (n,); columns of words are left out; units: name -> unit, if the heading has one;
-    notes: remarks about uncertain interpretations. Without column names, the first three columns are x, y and z."""
+    notes: remarks about uncertain interpretations. Without column names, the first columns get the letters of `axes` (`read_table`)."""
 
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str]
@@ -41,7 +41,7 @@ def read_any_text(path: Path, limit: int) -> str:
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
     """Read the table in a text. names: names of the columns in their order, where "-" leaves a column out; default: the names above the
-    numbers. axes: letters of the required columns, which are their names if the text has none. Raises ValueError with the line."""
+    numbers. axes: a letter for each required column of numbers, its name if the text has no names. Raises ValueError."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -77,7 +77,7 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
 
 
 def _separator(line: str) -> str:
-    """Separator of the columns in a line: tab, semicolon, comma, or blanks (""). If blanks separate the words, commas are decimal."""
+    """Column separator of a line: tab, semicolon or comma; "" (blanks) without commas, or with only decimal ones in 3 or more words."""
     for separator in "\t;":
         if separator in line:
             return separator
@@ -125,7 +125,7 @@ def _values(rows: list[list[str]], lines: list[int], separator: str) -> tuple[Co
 
 
 def _titles(line: str, separator: str, count: int) -> list[str] | None:
-    """Column names from a line above the numbers; None if it is no heading. A comment is a heading only if it names x, y and z."""
+    """The `count` column names in a line above the numbers; None if it is no heading. A comment must name x, y and z to be one."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):

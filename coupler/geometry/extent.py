@@ -47,7 +47,7 @@ def extent(points: Floats, triangles: Ints, direction: Floats) -> tuple[float, f
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _level(share: float, low: float, high: float, whole: float, height: Floats, shade: Floats) -> float:
-    """Height (m) of the plane with a share of the volume `whole` (m3) below it (Illinois: Dowell & Jarratt 1971, BIT 11, 168)."""
+    """Height (m) in [low, high] with `share` of the volume `whole` (m3) below it (Illinois: Dowell & Jarratt 1971, BIT 11, 168)."""
     a, f_a, b, f_b = low, -share, high, 1.0 - share
     for _ in range(100):
         z = (a * f_b - b * f_a) / (f_b - f_a)
@@ -85,8 +85,8 @@ def shape_measures(points: Floats, triangles: Ints, diameter: float) -> dict[str
     """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
 
     Height above this plane, thickness from the lowest to the highest point, and diameter in the top view (mean of widths), each from an
-    `extent`. Flattening ratios: 1 - height / D0, and in total 1 - thickness / D0. jet_length_m: largest distance of the surface outside
-    the extents. points (n,3) m and triangles (m,3) of the closed surface; diameter: D0.
+    `extent`. Flattening ratios: 1 - height / D0, and in total 1 - thickness / D0. jet_length_m: largest distance of a corner above the
+    height or beyond an end of a width. points (n,3) m and triangles (m,3) of the closed surface; diameter: D0.
     """
     skin = points[np.unique(triangles)]
     bottom, top = extent(points, triangles, UP)

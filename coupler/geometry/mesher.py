@@ -67,7 +67,8 @@ def cylinder(
     Element edges are `size` within refined_radius of a disc on z = 0, whose radius is `spread` and whose centre is `centre`.
     Outside they grow by `growth` per unit of distance up to sizes_to (default: a sixth of the smaller dimension). sector: angle, rad,
     of the part of the cylinder from the x axis on; pi / 2 is a quarter with the symmetry planes x = 0 and y = 0. top: heights (k,) m of
-    the top face at points (k,2) m, instead of 0: the surface of the flat cylinder is displaced along z, and its inside is meshed again.
+    the top face at points (k,2) m, for below = 0: the surface of the flat cylinder is displaced along z, the disc is moved to the
+    height at its centre, and the inside is meshed again.
     """
     unit = size  # gmsh has absolute tolerances for numbers near one
     most = (sizes_to or COARSEST * min(diameter, height)) / unit

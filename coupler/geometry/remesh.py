@@ -181,7 +181,7 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray
 
 @njit(cache=True, nogil=True)
 def _split(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> tuple[Floats, Ints]:
-    """Insert a vertex at the midpoint of each of the edges that have no common triangle. Returns the new x and t."""
+    """Split edges at their midpoints, in their order, except those at a triangle that is already split. Returns the new x and t."""
     touched = np.zeros(len(t), np.bool_)
     points = np.empty((len(edges), 3))
     faces = np.empty((2 * len(edges), 3), np.int64)

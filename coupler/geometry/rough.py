@@ -19,9 +19,9 @@ SEEN = 15  # samples of the surface on each side of the centre of a sphere, alon
 class Ground:
     """Heights (m) of a surface, the sum of its parts.
 
-    profiles: each the angle (rad) of its axis from x, and its corners (s, z) m with s along this axis, ascending; heights are linear
-    between the corners and constant outside. grid: heights (m) in rows along x, from the smallest x and y on; pitch m: distance of
-    its points; the middle of the grid is on the axis.
+    profiles: each the angle (rad) from x to a direction, and corners (s, z) m with s along this direction, ascending; heights are
+    linear between the corners and constant outside. grid: heights (m) in rows along x, from the smallest x and y on; pitch m:
+    distance of its points; the middle of the grid is at x = y = 0.
     """
 
     profiles: tuple[tuple[float, tuple[tuple[float, float], ...]], ...] = ()

@@ -105,7 +105,7 @@ def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan)
 
 
 def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
-    """A layered substrate with its faces: top of upper layer, all sides, bottom of lowest. half_space: names of half-space faces."""
+    """`bodies`, a layered substrate, with sets of its outer faces: top, sides, bottom. half_space: names of the sets in HALF_SPACE."""
     domain = domain_now(bodies.target, bodies.body)
     mesh, of_facet = domain.mesh, bodies.body[domain.mesh.facet_element]
     sets = name_sides(mesh.points, mesh.facets)
@@ -118,7 +118,7 @@ def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
 
 
 def metals_of(plan: Plan, bodies: Bodies) -> list[Material]:
-    """The material of each body of the target. LAW records distinguish the core of a particle from its shell, and layers."""
+    """The material of each body of the target. Its LAW record tells whether a body is a shell, a core or a layer."""
     found = []
     for law, i in zip(np.split(bodies.target.laws, bodies.count), bodies.impact.tolist(), strict=True):
         known = plan.impacts[i - 1].materials if i else plan.target.materials

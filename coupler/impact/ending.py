@@ -21,11 +21,11 @@ class EndState:
     """State of an `EndCriterion`. at: criterion for the end, "rest", "greatest" or "time"; end_time (s): time limit.
 
     peak (N): largest contact force so far; turned (s): time of the greatest deformation, None before it; loud (s): last time with a
-    contact force above QUIET_FORCE of the peak, bonds that could break, or the grip "embedded" (grips: see `EndCriterion.observe`);
+    contact force above QUIET_FORCE times peak, bonds that could break, or the grip "embedded" (grips: see `EndCriterion.observe`);
     fast (s): last time at which the grip was "free", bonds could break, or the speed along the normal was above HELD_STILL of the
-    impact speed with the grip "held" or "embedded"; above (s): last time at which its centre was above the target, not beyond the
-    rim; risen: it has moved upwards after the greatest deformation, and from then on its bonds count as able to break; arrested: its
-    bonds have then stopped it; time (s), work (J): time and dissipated energy at the last observation; power (W): mean rate of work.
+    impact speed with the grip "held" or "embedded"; above (s): last time with the particle's centre above the target, inside the rim;
+    risen: the particle has moved upwards after the greatest deformation, and from then on its bonds count as able to break; arrested:
+    it has then stopped, held by bonds or embedded; time (s), work (J): of the last `observe`; power (W): mean rate of work.
     """
 
     at: str
@@ -46,14 +46,14 @@ class EndState:
 class EndCriterion(EndState):
     """Decides when an impact has reached its greatest deformation and when it is over.
 
-    Greatest deformation: the centre of mass stops sinking; or its downward speed falls below `slow`; or it falls below GLANCING of
-    the impact speed and the contact has had no force for `held_quiet` s (the particle has glanced off the flank of a splat). End of
-    the impact: for "rest", when it has `settled`; for "greatest", at that time; for "time", at end_time, which limits the others too. A
-    particle that has slid over the rim of the target has left it: no criterion is met.
+    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`; or it sinks more slowly than GLANCING
+    times the impact speed after `held_quiet` s without contact force (the particle has glanced off the flank of a splat). End of the
+    impact: for "rest", when the particle has `settled`; for "greatest", at the greatest deformation; for "time", at end_time. The first
+    two also end at end_time, or when the particle has slid over the rim of the target (`slid_off`).
     """
 
     def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0, energy: float = 0.0):
-        """end_time, at: as in `EndState`; crossing (s): D / v; speed (m/s): impact speed; slow (m/s): speed that counts as zero;
+        """end_time, at: as in `EndState`; crossing (s): diameter / speed; speed (m/s): of impact; slow (m/s): speed taken as zero;
         energy (J): kinetic energy of the impact if the scene ties the particle to the target, else 0."""
         super().__init__(at, end_time)
         self.slow = slow
@@ -65,8 +65,8 @@ class EndCriterion(EndState):
     ) -> None:
         """Record the state at `time` s. sinking (m/s): speed of the centre of mass towards the ground; force (N): upward contact force
         on the particle; grip: state of its bonds: "free" (no bond holds it), "failing" (bonds can break), "held" (bonds hold it),
-        "secure" (bonds can absorb far more than the energy left), "embedded" (a ceramic without bonds is in contact); is_above: whether
-        its centre is above the target; work (J): energy dissipated so far."""
+        "secure" (bonds can absorb far more energy than can break them), "embedded" (a ceramic without bonds is in contact); is_above:
+        whether the particle's centre is above the target; work (J): energy dissipated so far."""
         if self.time > 0.0:  # mean over about `quiet` s
             share = -math.expm1((self.time - time) / self.quiet)
             self.power = (1.0 - share) * self.power + share * (work - self.work) / (time - self.time)
@@ -88,7 +88,7 @@ class EndCriterion(EndState):
 
     def reached(self, time: float) -> bool:
         """Whether the impact is over at `time` s, the time of the last observation: its criterion is met, its time limit is reached, or
-        the particle has slid off the target over its rim."""
+        the particle has `slid_off` (not with the criterion "time")."""
         return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
@@ -98,8 +98,8 @@ class EndCriterion(EndState):
         return self.settled(time) if self.at == "rest" else self.turned is not None
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left, or is at rest, after the greatest deformation: it has had no contact force for `quiet` s,
-        bonds have stopped its rebound, or it has been slow for `held_quiet` s (bonded) or hardly deforms (tied)."""
+        """Whether the particle has left or is at rest, after the greatest deformation: `loud` is more than `quiet` s ago, `fast` more
+        than `held_quiet` s ago, it is `arrested`, or (only if the scene ties it) `power` is below `spent`."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 
@@ -127,8 +127,8 @@ class EndCriterion(EndState):
         return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
-        """Continue an impact that has ended at `time` s until `until` s. If `until` is None: an impact that has not met its criterion
-        continues for the same time again; an impact that has met it does not continue."""
+        """Let an impact that has ended at `time` s continue until `until` s. If `until` is None, only an impact that its time limit has
+        ended before it met its criterion continues, for the same time again. No impact continues that `slid_off` has ended."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
                 self.end_time += time

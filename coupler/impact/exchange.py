@@ -38,8 +38,8 @@ LOST = 0.01  # largest share of the points that can lie deeper than a spacing in
 
 @dataclass(eq=False)
 class Course:
-    """Data collected during an impact. time (s); force (3,) N: contact force on the particle; deepest (m): largest penetration so
-    far; limits: numbers of steps whose length is limited by particle, target and contact."""
+    """Data collected during an impact. time (s): since its start; force (3,) N: present contact force on the particle; deepest (m):
+    largest penetration so far; limits: numbers of steps whose length is limited by particle, target and contact."""
 
     time: float = 0.0
     deepest: float = 0.0
@@ -82,8 +82,8 @@ class Impact(Course):
 
     @cached_property
     def _beside(self) -> csr_matrix:
-        """Matrix with a row for each vertex of the particle's surface: its entries mark the neighbouring contact nodes, which are
-        adjacent vertices and points under the vertex."""
+        """Matrix with a row for each vertex of the particle's surface and a column for each contact node, first vertices, then points.
+        Entries are nonzero for adjacent vertices and for points under the vertex."""
         return hstack([self.surface.neighbours, self.surface.under], format="csr")
 
     @cached_property
@@ -93,12 +93,12 @@ class Impact(Course):
 
     @cached_property
     def _films(self) -> np.ndarray:
-        """`oxide_film` (laws, 2) of the particle with each law of the target: exposure, and strength times thickness (N/m)."""
+        """`oxide_film` (laws, 2) of the particle and each law of the target: exposure at cracking, strength times thickness (N/m)."""
         return np.array([oxide_film(self.domains.own.material, metal) for metal in self._metals])
 
     @property
     def sinking(self) -> float:
-        """Speed of the particle's centre of mass towards the ground, along its normal, m/s."""
+        """Speed (m/s) of the particle's centre of mass along the normal of the ground, positive towards the ground."""
         return -float(self.particle.totals.momentum @ self.domains.own.normal / self.particle.mass.sum())
 
     @property
@@ -246,8 +246,8 @@ class Impact(Course):
         return adhesion.bonded(len(rows), strain, pressure, ratio) & (area > 0.0)
 
     def check_contact(self) -> None:
-        """Raise SolverError if too many points lie inside the target: the share of points deeper than one spacing exceeds LOST,
-        because the contact no longer finds them."""
+        """Raise SolverError if the share of points that lie deeper than one spacing in the target exceeds LOST: the contact no longer
+        finds these points."""
         p, t = self.particle, self.target
         depth = depths(p.x, t.nodes.x, t.mesh.conn, least=p.spacing)
         lost = np.count_nonzero(depth)
@@ -258,7 +258,7 @@ class Impact(Course):
             )
 
     def state(self) -> ImpactState:
-        """State of the impact, from which it continues with the same numbers."""
+        """State of the impact, from which it continues with identical results."""
         return ImpactState(
             self.bodies.state(), self.particle.state(), copied(self.contact),
             copied(self.folding.contact) if self.folding is not None else None, self.ledger,

@@ -56,8 +56,8 @@ class Exposure:
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
 
     def bonds(self, rows: Ints, film_force: Floats, strength: Floats, stiffness: float) -> dict[str, Floats]:
-        """Laws of bonds (`contact.bond.Bond.tie`) at the vertices `rows` (k,). film_force (k,) N/m, strength (k,) Pa, stiffness
-        Pa/m: as in `physics.adhesion.ligament_bonds`."""
+        """Strengths, energies and `rewelds` of bonds at the vertices `rows` (k,): arguments (k,) of `contact.bond.Bond.tie`, by name.
+        film_force (k,) N/m: as in `ligament_width`; strength (k,) Pa, stiffness Pa/m: as in `ligament_bonds` (`physics.adhesion`)."""
         smaller, larger = self.clean[rows].T
         width = ligament_width(smaller, film_force, strength)
         return ligament_bonds(self.sound[rows], width, larger, strength, stiffness)

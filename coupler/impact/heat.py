@@ -9,7 +9,7 @@ from .domains import Domains
 
 
 def flow(domains: Domains, time: float) -> None:
-    """Conduct heat for `time` s among the points of the particle and, without resistance, across the contact, by the plan's effects."""
+    """Conduct heat for `time` s among the points of the particle and across the contact (`crossing`), each if the effect is on."""
     particle = domains.particle
     if domains.conduction is not None:
         particle.warm(domains.conduction.share(time, particle.x, particle.points.T))

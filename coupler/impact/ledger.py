@@ -24,7 +24,7 @@ _STORED = (
 
 @dataclass
 class Ledger:
-    """Energies of both domains in one impact, J, less the energy of the target before the impact.
+    """Energies of both domains in one impact, J, less their values before the impact (except kinetic energies).
 
     The sum of all terms should be constant; `drift` is its change divided by the initial kinetic energy of the particle.
     numerical_particle: numerical dissipation of the SPH scheme, the work against internal forces less elastic and plastic energy. Its
@@ -68,7 +68,7 @@ class Ledger:
 
     @property
     def dissipation_of_plastic(self) -> float | None:
-        """Numerical dissipation of the particle divided by its plastic work; None if the plastic work is below FLOWS."""
+        """Numerical dissipation of the particle divided by its plastic work; None if this work is below FLOWS * kinetic_0."""
         plastic = self.rows["plastic_particle"]
         return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
 
@@ -88,7 +88,7 @@ class Ledger:
             )
 
     def check_closure(self) -> None:
-        """Raise SolverError if the energy balance of a finished impact is not closed."""
+        """Raise SolverError if a finished impact fails `check`, or if its SPH scheme has generated energy."""
         self.check()
         # losses by viscosity and hourglass control must not hide energy that is generated elsewhere
         numerical, unexplained = (self.rows[f"{k}_particle"] / self.kinetic_0 for k in ("numerical", "unexplained"))

@@ -52,7 +52,7 @@ def plastic_zone(target: Target, heights: Callable[[Floats], Floats]) -> tuple[f
     """Radius and depth (m) of the part of the substrate that has a plastic strain of at least YIELDED; both are 0 if there is none.
 
     Radius: of the circle with the area of the yielded part of the surface, seen from above; depth: largest depth of a yielded
-    element's centroid below the undeformed ground above it. heights: of this ground (k,) m, at points (k,2) m.
+    element's centroid below the undeformed ground. heights(points (k,2) m): heights (k,) m of this ground.
     """
     mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]

@@ -198,11 +198,11 @@ class Recorder:
         return {"time_s": impact.time, **measure(impact.domains, level), "crater_depth_m": self._crater(impact)}
 
     def _flight(self, impact: Impact) -> float:
-        """Height (m) by which a rebounded particle has risen since its last contact. Its shape is measured from this height."""
+        """Height (m) by which the particle has risen since its last contact. `measures` adds it to the zero of heights."""
         return max(0.0, float(impact.particle.x[:, 2].mean()) - self.seen.touched_at)
 
     def _crater(self, impact: Impact) -> float:
-        """Depth (m) of the crater of this impact: displacement of the target's surface since its start.
+        """Depth (m) of the crater of this impact: downward displacement of the target's surface since the impact started.
 
         `crater_depth` fits the nodes of the substrate. On splats, whose nodes are sparse, it fits the nodes in the lower half of
         the crater; if these are fewer than FITTED, the lowest node counts.

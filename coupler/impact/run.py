@@ -28,7 +28,7 @@ from .verdict import is_tied
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run. The options `progress`, `ranks`, `threads` and `jobs`, and the files, do not change the numbers.
+    """Options of a run. The options `progress`, `ranks`, `threads` and `jobs`, and the files, do not change the results.
 
     log_file: log file of LAMMPS; threads: number of threads that share the loops of a step and the work between impacts; numerics:
     values in place of the defaults of `particle.particle.Numerics`; probe: function called with the `Impact` after each chunk of
@@ -73,13 +73,13 @@ def run_impact(
     save: Callable[[RunningState], None],
     resume_from: RunningState | None = None,
 ) -> tuple[Impact, ImpactRecord]:
-    """Compute impact i of a plan from its start or a state to its end. Returns the impact, whose LAMMPS still runs, and its record.
+    """Compute impact i of a plan to its end, from its start or a state. Returns the impact, whose LAMMPS still runs, and its record.
 
-    bodies: target before the impact; written: amount of data in each file before the impact, None if the files start with it; before
-    (s): simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
-    computed again from its start with the next remedy (`impact.retry`). An impact that does not meet its end criterion at its time
-    limit is undecided: it writes a checkpoint, from which it can continue. An impact whose verdict is undecided does the same. Raises
-    SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
+    bodies: target before the impact; written: amount of data in each file before the impact, None if there is none; before (s):
+    simulated time of earlier impacts; save(state): writes a checkpoint; resume_from: such a state. After a failure the impact is
+    computed again from its start with the next remedy (`impact.retry`). An impact whose record has a text in `undecided` or None in
+    `rebounded` writes a checkpoint at its end, from which it can continue. Raises SolverError when no remedy is left,
+    NoContactError, StoreError, or Stopped after a signal.
     """
     retries: list[Retry] = []
     watch = _WallClock()
@@ -151,8 +151,8 @@ def _record(
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
-    """The end criterion of impact i. energy (J): kinetic energy of the impact. On earlier splats, where it can slide slowly for long, a
-    slow particle counts as at rest. On a coating, a particle that the scene ties may end before its contact force vanishes."""
+    """The end criterion of impact i. energy (J): kinetic energy. After the first impact, a slow downward speed counts as
+    zero: a particle can slide slowly on splats for long. On a coating, a tied particle may still have a contact force at the end."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
     slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0
@@ -166,7 +166,7 @@ class _WallClock:
         self._began, self._looped, self._loop_began = clock.perf_counter() - wall, looped, 0.0
 
     def start_loop(self) -> None:
-        """Start the clock of the time loop, unless it already runs since an attempt before a retry."""
+        """Start the clock of the time loop. In a retry it already runs."""
         self._loop_began = self._loop_began or clock.perf_counter() - self._looped
 
     @property

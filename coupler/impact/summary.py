@@ -87,7 +87,7 @@ def summarise(
 
 
 def _cracked(recorder: Recorder) -> str:
-    """The tensile stress of the ceramic in a particle; "" if it stays below its limit, or there is none."""
+    """Text about tensile stress above the limit in a particle's ceramic; "" without ceramic or below BROKEN_SHARE of its points."""
     index, seen = recorder.impact_plan.brittle, recorder.seen
     if index is None or seen.broken_share < BROKEN_SHARE:
         return ""

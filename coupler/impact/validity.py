@@ -31,7 +31,7 @@ class Extreme:
     compression: float = 0.0
 
     def note(self, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
-        """Include the present values of all points or elements in the largest ones. J: at points or nodes."""
+        """Update the largest values with the present ones of all points or elements. J: volume ratios of points or nodes."""
         self.rate = max(self.rate, _percentile(rate))
         self.melting = max(self.melting, float(np.max(melting, initial=0.0)))
         self.strain = max(self.strain, _percentile(eps_p))

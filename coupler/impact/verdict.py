@@ -35,11 +35,11 @@ class Verdict:
     that decide it; by: method, one of `measures.VERDICT_BY`.
 
     rebounded: whether the particle in the run rebounds by the law of the scene, also if formula and bonds, or the two metals, disagree
-    and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if there are no
-    bonds. margin_J, margin_m_s: distance from the opposite verdict. With computed bonds, positive: the energy that they can absorb less
-    the energy left to break them, and the velocity of the particle with this difference; negative: energy and velocity of the particle
-    away from the surface. With a criterion of velocity: energy and velocity of the impact less the critical ones. None: nothing was
-    compared. is_close: the margin of computed bonds is within the scatter due to the placement of points and elements.
+    and the verdict is undecided; None if the run does not show it. bonds: verdict of the computed bonds alone, "" if not evaluated.
+    margin_J, margin_m_s: distance from the opposite verdict, None if nothing was compared. With a criterion of velocity: energy and
+    velocity of the impact less the critical ones. Otherwise positive if bonds hold: the energy that they can absorb less the energy
+    that can break them, and the velocity at which the particle has this energy; negative after a rebound: energy and velocity of the
+    particle away from the surface. is_close: the margin of computed bonds is within the scatter of placements.
     """
 
     verdict: str
@@ -131,8 +131,8 @@ def _by_bonds(mass: float, upwards: float, bonds: ParticleBonds | None) -> Verdi
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """The verdict of the formula, from the ratios of the normal velocity to the critical velocities. The ratio for the particle's own
-    metal decides whether the scene ties the particle."""
+    """The verdict of the formula, from the normal velocity and the critical velocities of both metals. Whether the scene ties the
+    particle depends only on the critical velocity of the particle's own metal."""
     formula, velocity = impact.formula, impact.towards
     verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
     words, margin = f"{formula.words(velocity, law.limit)}; bonds are not computed", formula.margin(velocity, law.limit)
@@ -159,11 +159,11 @@ def verdict_values(
 ) -> Values:  # fmt: skip
     """The values of the verdict for the record of a finished impact.
 
-    is_lost: the particle has slid over the rim of the target, and rebounds in any case; touches, sunk, speed: as in `judge`;
-    broken: why a ceramic particle is broken, "" for a whole one; a broken particle is lost, and its rebound is unknown.
+    is_lost: the particle has slid over the rim of the target, and counts as rebounded; touches, sunk, speed: as in `judge`; broken:
+    why a ceramic particle is broken, "" for a whole one; a broken one counts as rebounded, with None for both values of its rebound.
     rebound_velocity_m_s: velocity of the centre of mass off the target, None for a particle that does not rebound; restitution:
-    velocity off the target after the impact divided by the velocity towards it before, 0 for a particle that stays, None if this is
-    undecided and no bond was computed; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded;
+    velocity off the target after the impact divided by the velocity towards it before, 0 for a particle that stays, None if it is
+    unknown whether it stays; verdict_by_bonds: verdict of the computed bonds alone; bonded_area_m2: area that has bonded;
     bonded_area_end_m2: part of it that still holds; bond_energy_J: energy to break all bonds in tension, None if a bond does not break.
     """
     lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)

@@ -46,7 +46,7 @@ class Block(NamedTuple):
     R: NDArray  # (9,BLOCK) its rotation at n, then at n+1
     before: NDArray  # (9,BLOCK) stretch U at n
     U: NDArray  # (9,BLOCK) R^T F at n+1: the stretch, when R is exact
-    B: NDArray  # (9,BLOCK) inverse of U; then minus the derivative Q of the point's energy by F, J
+    B: NDArray  # (9,BLOCK) inverse of U; then Q, minus the derivative of the point's energy by F, J
     S: NDArray  # (6,BLOCK) deviator at n, then trial deviator, then stress at n+1, Pa; xx xy xz yy yz zz
     omega: NDArray  # (3,BLOCK) correction of the rotation, rad; then moment sum e_p x w e of the residuals, 1/m3
     square: NDArray  # omega . omega; then sum w e^2, 1/m3
@@ -103,9 +103,9 @@ def write_three(rows: Floats, k: int, i: int, a: Vector) -> None:
 def gather(
     first: int, hi: int, laws: Laws, s: Sides, m: Motion, d: Deformation, state: State, plastic: Floats, b: Block
 ) -> int:
-    """Write the state at n and the sides of the block of points that begins with `first`. Returns the largest number of sides.
+    """Write F, R and stress at n and the sides of BLOCK points from `first` on to b. Returns the largest number of sides of a point.
 
-    A block with fewer points is filled up with copies of the last point, hi - 1: the numbers of a point do not depend on its block.
+    A block with fewer points is filled up with copies of the last point, hi - 1: the results of a point do not depend on its block.
     """
     most = 0
     for i in range(BLOCK):
@@ -134,7 +134,7 @@ def gather(
 
 @_inlined
 def deform(most: int, b: Block) -> None:
-    """U at n, then F, R and U at n+1. The rotation follows by the iteration of `compiled_kernels.rotation`, point by point."""
+    """Write U at n to b.before, and F, R and U at n+1 to b. R is found for each point as in `compiled_kernels.rotation`."""
     for i in range(BLOCK):
         write_nine(b.before, i, product(transposed(nine(b.R, i)), nine(b.F, i)))
         write_nine(b.F, i, ZERO)
@@ -167,7 +167,7 @@ def deform(most: int, b: Block) -> None:
 
 @_inlined
 def strain(b: Block) -> None:
-    """Trial deviator, J and the inverse of U at n+1."""
+    """Write the trial deviator to b.S, J to b.J and the inverse of U at n+1 to b.B."""
     for i in range(BLOCK):
         U = nine(b.U, i)
         # dt Udot B at n+1/2 is (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2; the last term has no deviator
@@ -180,8 +180,8 @@ def strain(b: Block) -> None:
 
 @_inlined
 def residuals(most: int, b: Block) -> None:
-    """Elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of up to `most` sides, and their sums. U receives
-    sum w e (x) (X_j - X_i)."""
+    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of up to `most` sides to the rows DU, their sums to omega
+    and square, sum w r^2 to span, and sum w e (x) (X_j - X_i) to U; all in b."""
     for i in range(BLOCK):
         b.square[i] = b.span[i] = b.omega[0, i] = b.omega[1, i] = b.omega[2, i] = 0.0
         write_nine(b.U, i, ZERO)
@@ -206,8 +206,8 @@ def residuals(most: int, b: Block) -> None:
 
 @_inlined
 def forces(most: int, V: float, across: float, b: Block) -> None:
-    """Plastic residuals after the radial return, and side_force = stiffness w R e - Q g. V (m3): volume of a point;
-    across: stiffness of a residual divided by the shear modulus."""
+    """Write the plastic residuals after the radial return to the rows EP, and side_force = stiffness w R e - Q g to the rows DU. Q:
+    b.B; V (m3): volume of a point; across: stiffness of a residual divided by the shear modulus."""
     for i in range(BLOCK):
         R, c, stiffness = nine(b.R, i), -V * b.J[i], V * across * b.shear[i] / b.span[i] * b.back[i]
         t = 0.5 * stiffness / c  # a skew stress that balances the moment of the residuals

@@ -105,7 +105,7 @@ class CompiledParticle(Particle):
         self._control = Control(r0[pair], W[pair], E[pair])
 
     def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Gradient weights (sides,3) 1/m of the neighbours at d (sides,3) m from each point: grad u = sum of (u_j - u_i) weight."""
+        """Gradient weights (sides,3) 1/m: grad u = sum of (u_j - u_i) weight. first, w: as in `Sides`; d (sides,3) m: X_j - X_i."""
         K = [np.bincount(self._point, w * d[:, a] * d[:, b], self.n) for a in range(3) for b in range(3)]
         stretch, axes = np.linalg.eigh(np.stack(K, axis=1).reshape(-1, 3, 3))
         is_seen = np.abs(self.volume_of_point * stretch) > 1e-16
@@ -155,12 +155,12 @@ class CompiledParticle(Particle):
         together(self._passes.forces_of_all, self.n, self._of_forces(self._steps_left == 0))
 
     def _of_stress(self) -> tuple[object, ...]:
-        """Arguments of pass 1 after the range of points."""
+        """Arguments of `stress_points` (pass 1) after lo and hi."""
         m, d = self._motion, self._deformation
         return self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._side_force
 
     def _of_forces(self, is_last: bool) -> tuple[object, ...]:
-        """Arguments of pass 2 after the range of points. is_last: last step of a chunk."""
+        """Arguments of `point_forces` (pass 2) after lo and hi. is_last: last step of a chunk."""
         m, d, control = self._motion, self._deformation, self._control
         return self.dt, is_last, self._scheme, self._sides, control, m, d, self._losses, self._side_force, self.points.f
 
@@ -207,13 +207,13 @@ class CompiledParticle(Particle):
         self._plastic[0] = self.sums[0] - self._plastic[1:].sum()
 
     def _skip_step(self) -> None:
-        """Exchange the data that pass 2 needs. After a failure here the other ranks still need them in each step."""
+        """Exchange the data that pass 2 needs. After a failure on this rank the other ranks still need its data in each step."""
         d = self._deformation
         self._swap(self._sends, self._receives, d.F, d.effective[:, None])
         self._swap(self._side_sends, self._side_receives, self._side_force)
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
-        """Send rows of arrays (k, ...) to other ranks, and overwrite rows with those that arrive."""
+        """Send the rows `sends` of the arrays (k,m) to other ranks, and write the rows that arrive to the rows `receives`."""
         if not (sends or receives):
             return
         widths = np.cumsum([0] + [array.shape[1] for array in arrays])

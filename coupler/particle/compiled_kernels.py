@@ -45,8 +45,8 @@ _inlined = njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING, err
 
 @_inlined
 def correction(A: Matrix) -> tuple[float, float, float, float]:
-    """The rotation vector omega that makes A = R^T F nearly symmetric, and its square: with S = sym A, omega solves
-    (tr(S) 1 - S) omega = axial vector of A."""
+    """Components of the rotation vector omega that makes A = R^T F nearly symmetric, and |omega|^2. With S = sym A, omega solves
+    (tr(S) 1 - S) omega = axial vector of A - A^T."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = A
     s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
     W, _ = inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
@@ -190,7 +190,7 @@ def stress_points(
 
 @_inlined
 def viscosity(scheme: Scheme, slope: float, c: float, r: float, approach: float) -> tuple[float, float]:
-    """Viscous force (N) of a side, and Monaghan's mu (m/s), about h dx . dv / r^2. approach: dx . dv, m2/s."""
+    """Viscous force (N) of a side, positive: attraction; Monaghan's mu (m/s), about h dx . dv / r^2. approach (m2/s): dx . dv."""
     soft = 1.0 / (r + 0.1 * scheme.h)
     mu = scheme.h * min(max(approach * soft, -SLOW * c), SLOW * c) * soft
     return slope * (scheme.Q2 * mu - scheme.Q1 * c) * mu, mu
@@ -200,7 +200,7 @@ def viscosity(scheme: Scheme, slope: float, c: float, r: float, approach: float)
 def hourglass(
     scheme: Scheme, slope: float, c: float, r0: float, WE: float, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float
 ) -> float:  # fmt: skip
-    """MACHDYN's force (N) against the hourglass error e (m) of a side: viscous in plastic flow, else elastic. WE (Pa/m3): W E."""
+    """MACHDYN's force (N) along a side against hourglass error e (m): viscous in plastic flow, else elastic. WE: W E of `Control`."""
     along = dot(e, x)
     if is_plastic:
         viscous = -slope * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * c * mu
@@ -211,8 +211,8 @@ def hourglass(
 
 @_inlined
 def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """The products x . v_half (m2/s) with x at n and at n+1, for the work of pair forces (`lost`). In the last step of a chunk the
-    second one includes the following half step."""
+    """The products x . v_half (m2/s) with x at n and at n+1, for `lost`; x, v, v_half: of j relative to i. In the last step of a chunk
+    x . v is added to the second product, for the half step after it."""
     now = dot(x, v_half)
     before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
     return before, now + dot(x, v) if is_last else now
@@ -220,7 +220,8 @@ def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) ->
 
 @_inlined
 def lost(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> float:
-    """Half (J) of the work of a pair force in the step, dt (f_n + f_n+1) / 2 . v_n+1/2, for its side k. before, now: `exchanged`."""
+    """Half (J) of the energy dt (f_n + f_n+1) / 2 . v_n+1/2 that a pair force dissipates in the step, for side k. strength (N/m): force
+    at n+1 over distance, which is stored in row `kind` of losses.strength; before, now: from `exchanged`."""
     work = 0.25 * dt * (losses.strength[kind, k] * before + strength * now)
     losses.strength[kind, k] = strength
     return work
@@ -271,8 +272,8 @@ def point_forces(
 def grow_gradients(n: int, grown: Floats, s: Sides, d: Deformation, eps_gradient: Floats) -> None:
     """Add the gradient of the plastic strain of a chunk of steps to eps_gradient (n,3) 1/m of n points.
 
-    grown (N,): plastic strain of the chunk. The gradient is taken in the current configuration and stored in the unrotated frame,
-    R^T F^-T = U^-1, as Huang et al. (2004) integrate it.
+    grown (N,): plastic strain of the chunk. Its gradient in the current configuration is turned back by R^T, as Huang et al. (2004)
+    integrate it: the reference gradient is multiplied by R^T F^-T = U^-1.
     """
     for i in range(n):
         a = b = c = 0.0

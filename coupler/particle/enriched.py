@@ -45,8 +45,8 @@ SYMMETRIC = 1e-6  # relative third moment of the neighbours: a point with a larg
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
     """Points of an `EnrichedParticle`. unseen (n,) J/m3: elastic energy of the residuals; bend (n, 3 MOST_SIDES) m: plastic parts of
-    the residuals, in the order of the neighbours' numbers, written by `state`; mode (n,3) s: mode of the highest frequency; its norm
-    is the time step at which this mode becomes unstable."""
+    the residuals, in the order of the neighbours' numbers, up to date only after `state()`; mode (n,3) s: mode of the highest
+    frequency, scaled so that the norm of the whole array is the time step at which this mode becomes unstable."""
 
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
@@ -136,8 +136,8 @@ class EnrichedParticle(CompiledParticle):
     def _longest_step(self) -> float:
         """The time step (s) at which the points of all ranks become unstable; NaN if the frequency is not finite.
 
-        Updates `points.mode`. While the step decreases, the returned step is extrapolated from the last two to the end of the next
-        chunk.
+        Updates `points.mode`. If the step has decreased since the last call, it is multiplied once more by the same ratio, as an
+        estimate for the end of the next chunk.
         """
         n, sides, F, J, mode = self.n, self._sides, self._deformation.F, self.points.J, self.points.mode
         stiffness, f, small = np.empty(n), np.empty((n, 3)), self._small
@@ -154,7 +154,7 @@ class EnrichedParticle(CompiledParticle):
         omega2 = self._size(u)
 
         def respond(lo: int, hi: int) -> None:
-            """Replace u by minus the accelerations that it causes, divided by its norm."""
+            """Replace u by -a / |u| in rows lo to hi - 1; a: accelerations that u causes."""
             u[lo:hi] = scale[lo:hi, None] * f[lo:hi]
 
         for _ in range(k.NEXT if before > 0.0 else k.FIRST):

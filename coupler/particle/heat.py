@@ -45,9 +45,9 @@ class Operators(NamedTuple):
 
 
 class Conduction(NamedTuple):
-    """Arrays of n points. law_of (n,): number of the law of each point; volume (m3); reach (n,4): sums of the absolute weights in
-    each row of G and R; D (n,6) m3: V J F^-1 F^-T; kD (n,6) W m/K; c (W/K); capacity (J/K); q (n,4): kD G T and c R T; T (K);
-    gained (J): heat."""
+    """Arrays of n points. law_of (n,): index of the law of each point; volume (m3); reach (n,4): sums of the absolute weights in each
+    row of G and R; D (n,6) m3: V J F^-1 F^-T; kD (n,6) W m2/K: conductivity times D; c (W/K): factor of the damping term; capacity
+    (J/K); q (n,4): kD G T (W m) and c R T (W); T (K); gained (J): heat. D, kD: xx yy zz yz xz xy."""
 
     law_of: Ints
     volume: Floats
@@ -63,7 +63,7 @@ class Conduction(NamedTuple):
 
 class PointConduction:
     """Conduction among all points of one particle. X (n,3) m: reference positions; spacing (m); volume (n,) m3; law (k,): LAW
-    records; law_of (n,): number of the law of each point, default that of one law."""
+    records; law_of (n,): index of the law of each point; default: the first law for all points."""
 
     def __init__(
         self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray, law_of: np.ndarray | None = None
@@ -126,7 +126,7 @@ def fit(team: Ints, n: int, spacing: float, X: Floats, G: Operators, reach: Floa
 
 @njit(cache=True, nogil=True, inline="always")
 def _applied(a: Floats | Symmetric, g0: float, g1: float, g2: float) -> Vector:
-    """Product of a symmetric tensor a (6,) and a vector (g0, g1, g2)."""
+    """Product of a symmetric tensor a (6,), xx yy zz yz xz xy, and a vector (g0, g1, g2)."""
     return a[0] * g0 + a[5] * g1 + a[4] * g2, a[5] * g0 + a[1] * g1 + a[3] * g2, a[4] * g0 + a[3] * g1 + a[2] * g2
 
 
@@ -156,9 +156,9 @@ def pull_back(lo: int, hi: int, G: Operators, x: Floats, h: Conduction) -> None:
 def prepare(
     team: Ints, n: int, laws: Laws, spacing: float, x: Floats, G: Operators, transposed: Operators, h: Conduction, rates: Floats,
 ) -> None:  # fmt: skip
-    """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures T, in all threads. Write the
-    largest flow for temperatures between -1 and 1 K to q, and from this flow an upper bound on the fastest rate of decay in each part
-    (Gershgorin, with absolute values of the operators) to rates (PARTS,) 1/s."""
+    """Do `pull_back` for n points at x (n,3) m, and write kD, c and capacity at the temperatures h.T, in all threads. Write to h.q an
+    upper bound of the flow for temperatures between -1 and 1 K. Write to rates (PARTS,) 1/s, for each part of the points, the bound on
+    the fastest rate of decay that follows from h.q (Gershgorin, with absolute values of the operators)."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_POINTS):
         pull_back(lo, hi, G, x, h)
         for i in range(lo, hi):

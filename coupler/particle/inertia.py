@@ -35,7 +35,7 @@ def inertia_of_cells(
     inertia: Floats,
 ) -> None:  # fmt: skip
     """Write F^-T g to spatial (sides,3) 1/m, and the inertia c of each cell to inertia (n,) kg m2. scale: STIFFER V (T / 2)^2, m3
-    s2; mass: that of the lightest point, kg, with which c is largest."""
+    s2, for the time step T; mass (kg): of the lightest point of the body; for this mass c is largest."""
     for i in range(lo, hi):
         law = laws[law_of[i]]
         B, _ = inverse(matrix_of(F, i))
@@ -57,9 +57,9 @@ class CellInertia:
     def __init__(
         self, laws: tuple[Laws, Ints], volume: float, step: float, sides: Sides, numbers: np.ndarray, gather: Callable[..., list[Any]],
     ):  # fmt: skip
-        """laws: LAW records, and number (total,) of the law of each point of the whole particle; volume (m3): volume of each point;
-        step (s): limit 2 / omega that all cells shall reach; numbers (N,): indices in the whole particle of the points of this rank,
-        then of the copies of neighbours; gather(values): list of the values of all ranks."""
+        """laws: LAW records, and index (total,) of the law of each point of the whole particle; volume (m3): volume of each point;
+        step (s): the inertia makes each cell stable with this time step; numbers (N,): index in the whole particle of each point of
+        this rank, then of each copy of a neighbour; gather(values): list of the values of all ranks."""
         (self._laws, law_of), self._scale = laws, STIFFER * volume * (0.5 * step) ** 2
         mass = volume * self._laws["rho"][law_of]
         self._mass, self._total = float(mass.min()), len(law_of)

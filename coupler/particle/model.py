@@ -61,7 +61,7 @@ class Motion(NamedTuple):
 
 class Deformation(NamedTuple):
     """Deformation gradients F (N,9) and their rotations R (n,9), row by row; effective (N,): sigma_y / H plus the plastic strain of the
-    step; hourglass control is viscous if it is large, else elastic."""
+    step; hourglass control is viscous where `effective` is large, else elastic."""
 
     F: Floats
     R: Floats
@@ -70,8 +70,8 @@ class Deformation(NamedTuple):
 
 class State(NamedTuple):
     """State of the law at n points. law_of (n,): index of the law of each point; sigma_y (Pa): yield stress; eps_p, rate (1/s):
-    plastic strain and its rate; T (K); J: volume ratio; p (Pa): pressure; energy, work (J per reference m3): work is plastic; stress
-    (n,6) Pa: unrotated Cauchy stress, in the order xx xy xz yy yz zz of LAMMPS; eps_gradient (n,3) 1/m: gradient of plastic strain."""
+    plastic strain and its rate; T (K); J: volume ratio; p (Pa): pressure; energy (of `pressure`), work (plastic), J per reference m3;
+    stress (n,6) Pa: unrotated Cauchy stress, in the order xx xy xz yy yz zz of LAMMPS; eps_gradient (n,3) 1/m: gradient of eps_p."""
 
     law_of: Ints
     stress: Floats

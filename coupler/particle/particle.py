@@ -54,9 +54,9 @@ class Numerics:
 
 @dataclass(frozen=True)
 class PointState(MetalState):
-    """State of n points with any engine: a new particle with this state continues with the same numbers.
+    """State of n points with any engine: a new particle with this state continues with the same results.
 
-    Arrays with lammps=True are stored by LAMMPS and have its names: x (m), v and vest (m/s), f (N), esph (J/kg) ...
+    Arrays marked lammps=True are stored by LAMMPS under its own names: x (m), v and vest (m/s), f (N), esph (J/kg) ...
     State of the law: rate (1/s); sigma_y (Pa); J: volume ratio; p (Pa); energy, plastic work: J per reference m3. f_old (N): internal
     forces of the last step. Engines add further arrays.
     """
@@ -155,7 +155,7 @@ class Particle(LocalState, ABC):
         """points (n,3) m: positions; volume (m3): volume of each point; law (k,): LAW records, the first is that of the surface;
         velocity (m/s): (3,), or (n,3) for each point; temperature (K); comm: communicator of the ranks that share the particle, in
         slabs along x with equal numbers of points; log: log file of LAMMPS; strain: initial plastic strain of the first law's points;
-        law_of (n,): number of the law of each point, default that of one law."""
+        law_of (n,): index of the law of each point; default: the first law for all points."""
         self.numerics = numerics or Numerics()
         self.law, self._special, self.initial_strain = law, specialised(law), strain
         self.law_of = np.zeros(len(points), np.int32) if law_of is None else law_of

@@ -34,8 +34,8 @@ def critical_velocity(material: Material, temperature: float, diameter: float = 
 
     Schmidt, Gaertner, Assadi & Kreye (2006), Acta Mater. 54, 729; they fitted F1 and F2 to impact tests and spray experiments. Exponent
     of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161; their factor
-    k1 = 0.64 (D / 10 um)^-0.18 agrees with Schmidt's formula at 25 um. sigma_TS: of the bulk metal. Raises ColdsprayError for a
-    ceramic, and if the material has no sigma_TS.
+    k1 = 0.64 (D / 10 um)^-0.18 agrees with Schmidt's formula at 25 um. sigma_TS: of the bulk metal at T_R = 293 K; T_m: melting
+    point; cp: at T. Raises ColdsprayError for a ceramic, and if the material has no sigma_TS.
     """
     if material.is_ceramic:
         remedy = "spray it in a blend with a metal: [[powder]] of a job, or [[coating.powder]] of a scene"
@@ -148,8 +148,8 @@ def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarr
 
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
     """The films between two metals: exposure at which both films have cracked, and strength times thickness (N/m) of the film with the
-    smaller fragments. A ceramic makes no metallic bond: the exposure is NEVER. Raises ColdsprayError if a metal has no data of its
-    film."""
+    smaller fragments. A ceramic makes no metallic bond: the exposure is NEVER. Raises ColdsprayError for a polymer or a metal without
+    data of its film."""
     if first.is_ceramic or second.is_ceramic:
         return NEVER, 0.0
     for metal in (first, second):
@@ -171,12 +171,13 @@ def ligament_bonds(
 
     The crack patterns of the two films are independent. On average, the fraction c' of a strip of clean metal is opposite to clean
     metal, and the welded width is w c'. Slip under contact pressure does not change the average. N: limit load of metal between deep
-    cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament fails at an opening or slip equal to its width (McClintock
-    (1971), in Fracture III); the strength decreases linearly. With the half width a = w / 2 this is G = 2.97 f c' sigma_0 a; Ashby,
-    Blunt & Bannister (1989), Acta Metall. 37, 1847, measured factors of 1.6 to 6.
+    cracks (Hill (1950), The Mathematical Theory of Plasticity); S: strength in shear; G: energy, for shear with S in place of N. A
+    ligament fails at an opening or slip equal to its width w c' (McClintock (1971), in Fracture III); the strength decreases linearly.
+    With the half width a = w c' / 2, G = 2.97 f c' sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured factors
+    of 1.6 to 6.
 
     sound: f (n,), `sound_fraction`; width: w (n,) m, `ligament_width`; opposite: c' (n,), clean fraction of the other surface;
-    strength: sigma_0 (n,) Pa; stiffness Pa/m: stiffness of the springs, whose traction is limited to the value at an opening of w c'.
+    strength: sigma_0 (n,) Pa; stiffness (Pa/m): of the springs; N and S are at most their traction at an opening of w c'.
     Returns the arguments of `contact.bond.Bond`.
     """
     welded, width = sound * opposite, width * opposite

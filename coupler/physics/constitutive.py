@@ -53,8 +53,8 @@ SWITCHES = (
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
-    """The LAW record (1,) of a material: its constants as arrays for the kernels. on: effects by name; effects that are not named are
-    on.
+    """The LAW record (1,) of a material: its constants, for the kernels. on: effects by name; others keep their default: on,
+    except for two effects.
 
     rate_filter: time constant of the average of the plastic strain rate for the strength law, s; 0: no average. Without mie_gruneisen
     the Hugoniot has s = 0 and Gamma0 = 0: p = K (1 - J). Without thermal expansion heat is not part of the energy in the equation of
@@ -176,7 +176,7 @@ def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
 
     Dislocations due to the gradient (Ashby 1970, Phil. Mag. 21, 399) are added to statistically stored dislocations. Taylor's relation
     (`materials.Material.forest`) gives the flow stress of the sum: Nix & Gao (1998), J. Mech. Phys. Solids 46, 411; Huang et al.
-    (2004), Int. J. Plasticity 20, 753. y = b sqrt(density).
+    (2004), Int. J. Plasticity 20, 753. In the code y = b sqrt(density), b: Burgers vector. T (K) softens the shear modulus.
     """
     modulus = 1.0 - law.softening * MODULUS_SLOPE * (T - ROOM) / law.T_m
     if not law.gradient_length > 0.0 or not sigma > 0.0 or not eta > 0.0 or not modulus > 0.0:
@@ -213,11 +213,11 @@ def harden(
     law: Law, deps: float, dt: float, J: float, flow: float, sigma_y: float, eps_p: float, rate: float, T: float,
     eta: float = 0.0,
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """Plastic state after a step with the plastic strain increment `deps` at the mean stress `flow` (Pa).
+    """Plastic state after a step with the plastic strain increment `deps` at the mean flow stress `flow` (Pa) of the step.
 
     Returns (eps_p, rate, T, sigma_y, work): the new state, the yield stress of the next step, and the plastic work of this step per
     reference volume, J/m3. J: volume ratio; dt: s; eta: as in `with_gradient`. Adiabatic: the Taylor-Quinney fraction of the work
-    becomes heat. Without plastic flow sigma_y does not change.
+    becomes heat. Without plastic flow sigma_y changes only while the averaged rate (`law_record`) exceeds eps_dot_0.
     """
     tau = law.rate_filter
     weight = dt / (tau + dt)

@@ -13,9 +13,9 @@ NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47
 
 
 def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, float]:
-    """Coefficients A and B, Pa, of Taylor's relation. G (Pa); burgers (m); alpha: Taylor's coefficient at TAYLOR_DENSITY.
+    """A and B, Pa, in Taylor's relation sigma = y (A + B ln y). G (Pa); burgers: b (m); alpha: Taylor's coefficient at TAYLOR_DENSITY.
 
-    sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
+    sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))), M: TAYLOR_FACTOR: short segments have less line tension
     (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040).
     """
     stress, reference = TAYLOR_FACTOR * alpha * G, math.log(alpha * burgers * math.sqrt(TAYLOR_DENSITY))

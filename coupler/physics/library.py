@@ -57,7 +57,7 @@ def refuse(problems: list[str], name: str) -> None:
 
 
 def read_number(value: object, unit: str, low: float, high: float) -> float:
-    """A number with a unit, or without if unit is "". Raises ValueError for other values, and for numbers outside low to high (SI)."""
+    """The SI value of a text with a unit; a plain number if unit is "". Raises ValueError for others, and outside low to high (SI)."""
     if unit:
         number = units.parse(value, units.dimension_of(unit))
     elif isinstance(value, bool) or not isinstance(value, int | float):

@@ -46,8 +46,8 @@ class Material:
     exceeds tensile_limit. oxide_thickness, oxide_strength, oxide_threshold: thickness and strength of the native oxide film, and
     surface exposure at which it cracks (`physics.adhesion`). burgers: Burgers vector. taylor_alpha: coefficient of Taylor's relation
     at 1e12 dislocations per m2; 0: gradients of plastic strain do not harden the metal (`forest`). D_v, Q_v: factor and activation
-    energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: factor and activation energy of diffusion along dislocations; the
-    factor is multiplied by the area of a dislocation core (`physics.recovery`). T_g: glass transition temperature of a polymer; None
+    energy (J/mol) of self-diffusion through the lattice. D_c, Q_c: the same for diffusion along dislocations; D_c (m4/s)
+    includes the area of a dislocation core as a factor (`physics.recovery`). T_g: glass transition temperature of a polymer; None
     for a metal.
     """
 
@@ -101,8 +101,8 @@ class Material:
 
     @property
     def gradient_length(self) -> float:
-        """The length r b, m. A gradient eta (1/m) of plastic strain needs the dislocation density r eta / b (Gao, Huang, Nix &
-        Hutchinson (1999), J. Mech. Phys. Solids 47, 1239). It is zero if the metal has no `taylor_alpha`."""
+        """Length r b, m, r: Nye factor; zero if the metal has no `taylor_alpha`. A gradient eta (1/m) of plastic strain needs the
+        dislocation density r eta / b (Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239)."""
         return NYE_FACTOR * (self.burgers or 0.0) if self.taylor_alpha else 0.0
 
     @property

@@ -29,5 +29,5 @@ class MetalState:
 
 
 def carried(record: MetalState) -> dict[str, np.ndarray]:
-    """The fields of a record that are carried to the next impact, by name, without fields that are unknown."""
+    """The fields of `MetalState` in a record, by name, for the next impact; fields with the value UNKNOWN are left out."""
     return {name: vars(record)[name] for name in rows_of(MetalState) if vars(record)[name] is not None}

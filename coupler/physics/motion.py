@@ -77,7 +77,7 @@ def end_all(
     team: Ints, dt: float, is_last: bool, mass: Floats, f_old: Floats, f: Floats, more: Floats, x: Floats, v: Floats, ahead: Floats,
     work: Floats,
 ) -> None:  # fmt: skip
-    """`book_all`, then the second part of the step: v at n+1. Unless the step is the last one, `begin_step` of the next step."""
+    """Do `book_all`, then compute v at n+1. Unless the step is the last one, do `begin_step` of the next step. In all threads."""
     for lo, hi, part in ranges(team, 0, len(f), LEAST):
         work[part] = book(lo, hi, dt, f_old, f, v, more)
         for a in range(lo, hi):
@@ -92,7 +92,7 @@ def end_all(
 def add_up(
     team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, total: Floats, work: Floats
 ) -> None:
-    """Compute total = f + more for the first n rows. Write their `work_of`, for each part of the rows, to work (PARTS,) J."""
+    """Write f + more to the first n rows of total. Write the work of f (`work_of`) on each part of these rows to work (PARTS,) J."""
     for lo, hi, part in ranges(team, 0, n, LEAST):
         work[part] = work_of(lo, hi, dt, f_old, f, v)
         for a in range(lo, hi):
@@ -125,9 +125,9 @@ def sum_at(rows: Ints, f: Floats) -> Vector:
 
 @njit(cache=True, nogil=True)
 def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats) -> float:
-    """Dashpots: drag (k,3) = -matrix (k,3,3) kg/s times the v of `rows`, added to total.
+    """Write the forces of dashpots, -matrix (k,3,3) kg/s times v of `rows` (k,), to drag (k,3) N, and add them to total.
 
-    Returns the sum of (drag before + drag) . v, W.
+    Returns the sum of (old drag + new drag) . v, W.
     """
     power = 0.0
     for q in range(len(rows)):
@@ -144,10 +144,10 @@ def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats)
 def damp(
     lo: int, hi: int, free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Floats, momentum: Floats
 ) -> None:
-    """Velocity and momentum of the free rows after a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and M v' by the same equation.
+    """Update v and momentum M v of the free rows by a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and the same times M for M v'.
 
-    The scheme is stable up to the step without damping. damping: a, relative to the critical damping of the step. along: the part of
-    M^-1 f, m/s2, that is added to v here; `kick` adds the other part, from the masses of the nodes.
+    Damping does not change the stable time step. damping: a, relative to the critical damping of the step. along (m/s2): the part of
+    M^-1 f that is added to v here; `kick` adds the other part, f divided by the masses of the nodes.
     """
     keep, add = (1.0 - damping) / (1.0 + damping), dt / (1.0 + damping)
     for a in range(lo, hi):

@@ -85,9 +85,9 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
     """Flow stress, Pa: 2 G(T) tau with a saturation stress s, a yield stress y and Voce hardening between them.
 
     Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. s and y are each the larger of a stress by thermal
-    activation, with erf(kappa T/T_m ln(gamma xi / rate)), and one by phonon drag, s_0 (rate / gamma xi)^beta, from 1e8 1/s on.
-    G(T) = G_0 (1 - alpha T / T_m), without effect of pressure; xi: frequency of a shear wave across an atom, 1/s. eps_p without unit,
-    rate 1/s, T K.
+    activation, with erf(kappa T/T_m ln(gamma xi / rate)), and one by phonon drag at high rates, s_0 (rate / gamma xi)^beta; in y
+    the drag stress is at most y_1 (rate / gamma xi)^y_2. G(T) = G_0 (1 - alpha T / T_m), without effect of pressure; xi: frequency of a
+    shear wave across an atom, 1/s, at T. eps_p without unit, rate 1/s, T K.
     """
     if not on(law.softening) or law.softening == 0.0:
         T = law.T_ref
@@ -256,7 +256,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Strength:
-    """A set of constants of a law. numbers: SI values by name; set: name in the library, "" of one of a scene; fitted: valid range."""
+    """A set of constants of a law. numbers: SI values by name; set: name in the library, "" if from a scene; fitted: valid range."""
 
     law: str
     numbers: dict[str, float] = field(hash=False)

@@ -28,8 +28,8 @@ class Landing:
 
 @dataclass(frozen=True)
 class Batch:
-    """The impacts first to stop - 1. cut: radius (m) of the largest of their sub-domains, inf for the full target; pause: time (s) of
-    heat conduction until the next batch, 0 for none."""
+    """The impacts with the indices first to stop - 1. cut: radius (m) of the largest of their sub-domains, inf for the full target;
+    pause: time (s) of heat conduction until the next batch, 0 for none."""
 
     first: int
     stop: int
@@ -43,8 +43,8 @@ class Batch:
 
 
 def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]:
-    """The batches of a plan, in the order of the impacts. A batch ends with a pass of the gun, and before an impact whose window is too
-    close to the window of another impact in the batch. is_cooled: whether heat flows between impacts."""
+    """The batches of a plan, in the order of the impacts. A batch ends with a pass of the gun, after LARGEST_BATCH impacts, and before
+    an impact whose window is too close to another window of the batch. is_cooled: False makes all pauses 0."""
     found, first = list[Batch](), 0
     while first < len(impacts):
         stop = first + 1
@@ -59,10 +59,10 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
-    """An order of the impacts that allows large batches, as indices of the impacts. An impact moves to a later batch if its window is
-    far enough from the windows of that later batch, and its splat cannot overlap the splats of the impacts in between. Thus splats
-    that may overlap keep their order. Batches are filled from the last one back: so there are few pauses on the high coating, where
-    a pause takes the most computing time."""
+    """An order of the impacts that allows large batches, as indices of the impacts. The last batch is filled first, because a pause
+    takes the most computing time late in the run. An impact moves to a later batch if its window is far enough from the windows of this
+    batch, and its splat cannot overlap the splats of the impacts that then come before it. Thus splats that may overlap keep their
+    order. If a window is infinite, the order does not change."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()

@@ -35,7 +35,7 @@ Problem = tuple[tuple[str, ...], str]  # the fields of the check, the message
 
 
 def _wrong(field: str, value: float, unit: str, text: str, *looked: str) -> Problem:
-    """The message about a wrong value (SI) of a field. looked: the other fields of the check."""
+    """A problem: all fields of a check, and the message about the wrong value (SI) of `field`. looked: the other fields."""
     return (field, *looked), f"{field} = {text_of(value, unit)}: {text}"
 
 
@@ -251,7 +251,8 @@ def _layers(d: Derived) -> Iterator[Problem]:
 
 
 def _flanks(body: Substrate, coarse: float, coarseness: str) -> Iterator[Problem]:
-    """Check the angle of each straight shape, and the width of a groove. coarse (m): least width; coarseness: text with its reason."""
+    """Check the angle of each straight shape, and the width of a groove. coarse: least width (m) that the elements resolve; coarseness:
+    text for a narrower groove."""
     for name, shape in (("groove", body.groove), ("step", body.step), ("slope", body.slope)):
         if shape is not None and shape.angle > STEEPEST_FLANK * (1 + 1e-9):
             text = f"steeper than a mesh can represent: give at most {math.degrees(STEEPEST_FLANK):.3g} deg"
@@ -345,7 +346,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
 
 
 def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
-    """Check that the fracture energy of a bond is at least the energy of its spring at the strength (`contact.bond.Bond`)."""
+    """Check that a bond's fracture energy is at least the energy that its springs store at its strength (`contact.bond.Bond`)."""
     names = [*d.scene.substrate.materials, *(particle.material for particle in d.scene.particles)]
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:

@@ -31,8 +31,8 @@ _CLASSES = 200  # of equal mass or number
 
 @dataclass(frozen=True)
 class Fed:
-    """A powder from which particles are drawn. rho: density, kg/m3; files: files with shapes; by_number: diameters (m) and cumulative
-    fractions of the number of particles, if the table has sizes by mass."""
+    """A powder from which particles are drawn. rho: density, kg/m3; files: files with shapes; by_number: ascending diameters (m), and
+    the fraction of the number of particles below each; None if the table has no sizes by mass."""
 
     table: PowderTable
     rho: float = 1.0
@@ -40,7 +40,7 @@ class Fed:
     by_number: tuple[np.ndarray, np.ndarray] | None = None
 
     def diameter(self, u: float) -> float:
-        """The diameter (m) below which lies a fraction u (0 to 1) of the particles, counted between the limits of the diameters."""
+        """The diameter (m) below which lies a fraction u (0 to 1) of the number of particles between the limits of the diameter."""
         t = self.table
         if self.by_number is not None:
             return float(np.interp(u, *reversed(self.by_number)))
@@ -61,10 +61,10 @@ class Fed:
 
 
 def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Material]) -> list[str]:
-    """Add the random particles of the table [coating] to a scene without particles. raw: the scene as nested dicts, changed in place;
-    folder: folder to which file names are relative; catalogue: metals by name. The scene.toml of a run has the table and its
-    particles, which do not change. Returns the problems. If the table has errors, which the check of the scene reports, a valid
-    particle is added for this check."""
+    """Add the random particles of the table [coating] to a scene. raw: the scene as nested dicts, changed in place; folder: folder to
+    which file names are relative; catalogue: metals by name. Particles that the scene already has do not change: the scene.toml of a
+    run has the table and its particles. Returns the problems, except errors in the table, which the check of the scene reports. If no
+    particles can be drawn, a valid one is added for this check."""
     table, _ = read_table(Coating, raw["coating"])
     if table is None:
         raw.setdefault("particle", [dict(STAND_IN)])
@@ -162,7 +162,7 @@ def particles(
 def _drawn(
     fed: Fed, place: tuple[float, float], dwell: float | None, angle: float, dice: random.Random
 ) -> dict[str, object]:
-    """A random particle of a powder. place: x, y (m) of its centre; dwell (s), angle (rad): of its impact."""
+    """A random particle, a table of a scene. place: its centre (x, y), m; dwell (s) until the next impact; angle (rad) of the gun."""
     table, (x, y) = fed.table, place
     diameter = fed.diameter(dice.random())
     low = NormalDist().cdf(-_TRUNCATED)
@@ -196,8 +196,8 @@ def _drawn(
 
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:
-    """A random position (m) on the disc, uniform in area; in an "even" layer the best of several candidates (Mitchell 1991). places:
-    the positions of the layer or pass."""
+    """A random position (m) on the disc of the coating, uniform in area. In an "even" layer several positions are drawn, and the one
+    farthest from `places` is used (Mitchell 1991). places: the earlier positions of the layer or pass."""
 
     def anywhere() -> tuple[float, float]:
         r, phi = table.radius * math.sqrt(dice.random()), 2.0 * math.pi * dice.random()

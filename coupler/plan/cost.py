@@ -81,10 +81,10 @@ def elements(
     diameter: float, height: float, element_size: float, refined_radius: float, growth: float, spread: float = 0.0
 ) -> int:
     """Estimated number of tetrahedra of a graded mesh of a cylinder, lengths in m. The elements have element_size within refined_radius
-    of a disc of radius spread, and grow outside.
+    of a disc of radius `spread` in the top face, and grow outside.
 
-    Integral of TETS_PER_H3 / h(r)^3 over the volume within a distance r below and beside the disc, limited to the volume of the
-    cylinder. h(r) = element_size + growth max(0, r - refined_radius), at most COARSEST times the smaller dimension.
+    It is the integral of TETS_PER_H3 / h(r)^3 over the volume below and beside the disc, up to the volume of the cylinder. r: distance
+    from the disc; h(r) = element_size + growth max(0, r - refined_radius), at most COARSEST min(diameter, height).
     """
     cylinder = math.pi / 4 * diameter**2 * height
     r = np.linspace(0.0, (1.5 * cylinder / math.pi) ** (1 / 3), 401)  # at most the radius of a half ball
@@ -109,13 +109,12 @@ def flow_stress(material: Material, T: float, rate: float, strain: float = STRAI
 def loads(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> tuple[float, float]:
-    """Loads of particle and target in an impact: energy that each absorbs, divided by its flow stress and by the volume of the
-    particle.
+    """Loads of particle and target in an impact: twice the energy that each absorbs, divided by its flow stress and by the volume of
+    the particle.
 
-    The load is Johnson's damage number rho v^2 / Y, with the density of the particle and the flow stress of the body, times the
-    fraction of the energy that the body absorbs, which is proportional to its compliance 1 / Y. The flow stress of the particle is
-    that of its rim, heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): those of particle and target; velocity m/s,
-    diameter m.
+    The load is Johnson's damage number rho v^2 / Y times the fraction of the energy that the body absorbs. rho: density of the
+    particle; Y: flow stress of the body, for the particle that of its rim, which a strain of STRAIN_OF_RIM heats. The fraction is
+    proportional to 1 / Y, here without this heating. materials, temperatures (K): of particle and target; velocity m/s, diameter m.
     """
     metal, rate, inertia = materials[0], velocity / diameter, materials[0].rho * velocity**2
     Y, Y_base = (flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
@@ -130,9 +129,9 @@ def loads(
 def stopping_time(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> float:
-    """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829): (2/3) rho_p D /
-    sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)), with the hardness H of the softer body. materials, temperatures (K): those of particle
-    and target; velocity m/s, diameter m."""
+    """Stopping time, s, of a sphere on a target that resists with the pressure H + rho_t v^2 / 2 (Poncelet 1829). H is the hardness of
+    the softer body; the time is (2/3) rho_p D atan(v / sqrt(2 H / rho_t)) / sqrt(H rho_t / 2). materials, temperatures (K): those of
+    particle and target; velocity m/s, diameter m."""
     rate, (particle, target) = velocity / diameter, materials
     H = HARDNESS_OVER_FLOW_STRESS * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
     slowing = math.atan(velocity * math.sqrt(target.rho / (2.0 * H)))
@@ -142,8 +141,8 @@ def stopping_time(
 def expected_time(
     cap: float, height: float, velocity: float, end_at: str, load: tuple[float, float], angle: float
 ) -> float:
-    """Expected simulated time of an impact, s. cap: longest time of the impact, s; height (m); velocity (m/s); end_at: "rest",
-    "greatest" or "time"; load: from `loads`; angle (rad): from the normal."""
+    """Expected simulated time of an impact, s. cap: its longest time, s; height: that of the particle, m; velocity (m/s); end_at:
+    "rest", "greatest" (deformation) or "time"; load: from `loads`; angle (rad): of the velocity from the normal."""
     if end_at == "time":
         return cap
     (a, b), (c, d), oblique = REST_FIT
@@ -154,9 +153,9 @@ def expected_time(
 def time_step(
     spacing: float, wave_speed: float, load: tuple[float, float], points: float, angle: float, engine: str, tall: float
 ) -> float:
-    """Mean time step of an impact until rest, s. Deformation of the particle decreases the step. spacing (m); wave_speed (m/s);
-    points: number of points of a sphere of the same size; tall: height divided by the diameter of the sphere of equal volume;
-    load, angle: as in `expected_time`."""
+    """Mean time step of an impact until rest, s. Deformation decreases the step. spacing (m); wave_speed (m/s); points: number of
+    points of the sphere with the volume of the particle; tall: height of the particle divided by the diameter of this sphere; load,
+    angle: as in `expected_time`."""
     (a, b), (c, d), (e, f) = STEP_FIT
     pressed = math.cos(angle) * (math.cos(angle) + SHEARED * math.sin(angle))
     alone = ((load[0] - load[1]) / sum(load)) ** 2
@@ -179,14 +178,14 @@ def machine_memory() -> float:
 
 
 def step_time(steps: float, points: float, n_elements: float, engine: str) -> float:
-    """Time of a number of steps on one core, s."""
+    """Computing time, s, of a number of time steps on one core."""
     return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_POINT[engine] * points)
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact the fraction of the wall time before
-    its steps, and that of its steps; whole: wall time, s; memory, files: bytes."""
+    """Expected cost of a plan. steps: number of steps of each impact; shares: for each impact the time before its steps and the time of
+    its steps, as fractions of the wall time without meshing; whole: wall time, s; memory, files: bytes."""
 
     steps: list[int]
     shares: list[tuple[float, float]]
@@ -218,8 +217,8 @@ def forecast(plan: Plan) -> Forecast:
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
-    """Number of elements that an impact computes: those of the substrate within its window, and those of the splats in proportion to
-    the area of the window. met: elements of all bodies."""
+    """Number of elements that an impact computes: those of the substrate within its window, and a share of those of the splats, the
+    area of the window over the refined area. met: elements of substrate and earlier splats."""
     target, w = plan.target, impact.window
     if math.isinf(w):
         return met
@@ -229,8 +228,8 @@ def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
 
 
 def _between(plan: Plan, met: Sequence[int]) -> list[float]:
-    """Computing time after each impact, before the next one, s: conversion of its splat, relaxation to rest and, after the last
-    impact of each batch, the pause. After the last impact there is only the closing stage."""
+    """Computing time (s) from each impact to the next: conversion of its splat, relaxation to rest and, after a batch, the pause. The
+    last impact has the closing stage instead of a pause; without a closing stage its time is 0. met: elements before each impact."""
     paused = {batch.stop - 1 for batch in plan.batches if plan.effects.cooling}
     closed, times = plan.ambient is not None, []
     for i, (before, impact) in enumerate(zip(met, plan.impacts, strict=True)):

@@ -167,8 +167,8 @@ class Derived:
 
     @cached_property
     def time_between(self) -> float:
-        """Mean time (s) between impacts on the disc of the scene's particles, which is at least as large as a particle, while the spray
-        spot covers it. Raises SceneError for an unknown material."""
+        """Mean time (s) between impacts on a disc while the spray spot covers it. The disc is that of the coating or of all offsets,
+        but at least as wide as the widest particle. Raises SceneError for an unknown material."""
         particles, coating, spray = self.scene.particles, self.scene.coating, self.spray
         radius = coating.radius if coating else self.spread
         mass = sum(self.flying(p).rho * p.volume for p in particles) / len(particles)
@@ -202,7 +202,7 @@ class Derived:
         return CorePlan(core, particle.core.share_by_volume(particle.diameter, shell.rho, core.rho))
 
     def flying(self, particle: Particle) -> Material:
-        """The material of a particle with the mean density and specific heat that a composite particle has in flight."""
+        """The material of a particle in flight. For a composite particle it is the shell with mean density and specific heat."""
         shell, core = self.material(particle.material), self.core_of(particle)
         return shell if core is None else materials.mixed(shell, core.material, core.share)
 

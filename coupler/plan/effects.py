@@ -49,9 +49,9 @@ EFFECTS = (
 def numbers(
     scene: Scene, impact: ImpactPlan, base: Material, side_distance: float, duration: float, end_time: float
 ) -> dict[str, float]:
-    """The number of each effect in one impact, by the name of the effect. base: metal of the substrate; side_distance (m): from the
-    impact to the nearest absorbing face, infinite if there is no such face; duration (s): longest time of this impact; end_time (s):
-    sum of the durations of this and all later impacts, the longest time that waves and heat travel."""
+    """The deciding number (`Effect.number`) of each effect in one impact, by the name of the effect. base: metal of the substrate;
+    side_distance (m): from the impact to the nearest absorbing face, infinite if there is no such face; duration (s): longest time of
+    this impact; end_time (s): sum of the durations of this and all later impacts, the longest time that waves and heat travel."""
     velocity, friction, size = math.hypot(*impact.velocity), scene.contact.friction, scene.derived.element_size
     both = (impact.material, impact.temperature), (base, scene.substrate.temperature)
     bodies = [(m, T, heating(m, T, velocity)) for m, T in both]

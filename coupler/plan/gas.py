@@ -50,8 +50,8 @@ def _flights(conditions: GasConditions, nozzle: Nozzle, metal: Material, D: tupl
 def arrival(
     conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float, among: Iterable[float]
 ) -> dict[str, str]:
-    """Velocity and temperature of a sphere (diameter m) at impact, as texts of a scene. among: all diameters (m) of the scene, which
-    are computed together. Raises ColdsprayError; the message begins with the name of the field."""
+    """Velocity and temperature of a sphere (diameter m) at impact, by these keys, as texts such as "600 m/s". among: all diameters (m)
+    of the scene; their flights are computed together. Raises ColdsprayError; the message begins with the name of the field."""
     flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         head = f"pressure = {units.rounded(conditions.pressure, 'bar')}: {material.name} of {units.rounded(diameter, 'um')}"
@@ -92,7 +92,7 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
 
 
 def _flying(particle: Mapping[str, object], size: float | None, catalogue: Mapping[str, Material]) -> Material | None:
-    """The material of a particle in flight, as `Derived.flying`; None if the check of the scene reports an error in it. size: m."""
+    """The material of a particle in flight, as `Derived.flying`; None if its tables have errors. size: its diameter, m."""
     shell, table = catalogue.get(str(particle.get("material"))), particle.get("core")
     if shell is None or size is None or table is None:
         return shell

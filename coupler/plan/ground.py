@@ -40,7 +40,8 @@ def ground_of(body: Substrate, element_size: float) -> Ground | None:
 
 @cache
 def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tuple[tuple[float, ...], ...]:
-    """Heights (m) of a map on a grid over the substrate, averaged over two pitches, with mean 0 over its disc."""
+    """Heights (m) of a map on a grid over the substrate, as `Ground.grid`, averaged over two pitches, with mean 0 over the substrate.
+    changed: time stamp of the file, for the cache."""
     half = math.ceil(0.5 * diameter / pitch)
     axis = pitch * np.arange(-half, half + 1)
     places = np.stack(np.meshgrid(axis, axis), axis=-1)

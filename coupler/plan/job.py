@@ -90,9 +90,9 @@ class Coatings:
 
 @dataclass(frozen=True)
 class Feed:
-    """A powder of a job. name: its materials, such as "Ni on Al2O3", with a number if another powder has the same; key: its table in
-    messages; raw, table: its table as text and in SI units; sizes: size distribution; metal: material of its surface; flying: the
-    same with the mean density of a composite particle; room: least number of points of a particle."""
+    """A powder of a job. name: its materials, such as "Ni on Al2O3", with a number if another powder has the same ones; key: name of
+    its table in messages; raw, table: its table as text and in SI units; sizes: size distribution; metal: material of its surface;
+    flying: material in flight, as `Derived.flying`; room: number of points that a particle needs at least."""
 
     name: str
     key: str
@@ -147,8 +147,8 @@ class Job:
 
     @cached_property
     def arrived(self) -> Mapping[str, Spray]:
-        """Each powder at impact, by name, with the critical-velocity formula for its metal and the surface of the substrate; a ceramic
-        powder needs a metal powder in the blend. Raises ColdsprayError as `spray`."""
+        """Each powder at impact, by name. Its critical-velocity formula is that of its metal on the surface of the substrate. A ceramic
+        powder needs a metal powder in the blend. Raises ColdsprayError as `window.spray`."""
         found, base = {}, self.metals[self.surface]
         of_base = f"substrate.{'layer[1].' * bool(self.data.substrate.layer)}material"
         for name, powder in self.powders.items():
@@ -267,12 +267,12 @@ class Job:
 
     @property
     def room(self) -> float:
-        """Points of the smallest particle of a coating, at least."""
+        """Least number of points of the smallest particle of a coating."""
         return max(powder.room for powder in self.powders.values())
 
     def middle(self, points: int) -> dict[str, tuple[float, float, float]]:
-        """Smallest, median and largest diameter (m) of the particles of each powder in a coating. The range is the widest in which the
-        smallest particle has `room` points if the largest has `points`; if the medians are farther apart, each powder has one size."""
+        """Smallest, median and largest diameter (m) of each powder in a coating. The largest particle has `points` points, the smallest
+        at least `room`; the ranges are as wide as this allows. If the medians are too far apart, each powder has one size."""
         apart = math.sqrt(max(self.medians.values()) / min(self.medians.values()))
         half = max((points / self.room) ** (1.0 / 6.0) / apart, 1.0)
         least, most = ({n: self.powders[n].sizes.diameter(share) for n in self.medians} for share in (0.05, 0.95))
@@ -296,8 +296,8 @@ class Job:
         )))  # fmt: skip
 
     def reach(self, powder: str) -> tuple[float, float]:
-        """Smallest and largest velocity of a powder, m/s. Each size counts with the velocity at which the median particle has the same
-        ratio of velocity to critical velocity by the formula."""
+        """Smallest and largest velocity of a powder, m/s. For each size it is the velocity at which the median particle has the ratio
+        of velocity to critical velocity of this size, by the formula."""
         at = self.arrived[powder]
         same = at.ratio.clip(max=FASTEST) * at.critical[len(at.share) // 2]
         return math.floor(same.min()), math.ceil(same.max())
@@ -343,7 +343,7 @@ def read(path: Path, kind: type[JobData] = JobData) -> Job:
 
 
 def from_text(text: str, path: Path, kind: type[JobData] = JobData) -> Job:
-    """Read a job from TOML. path: its file, whose stem is the name of the job and whose folder has the files that it names; kind: model
+    """Read a job from TOML. path: its file; the stem is the name of the job, and names of files are relative to its folder; kind: model
     of its tables. Raises InputError if the text is not valid TOML, SceneError with all problems of its tables."""
     raw = toml_of(text, path)
     problems = with_library(raw, str(path))

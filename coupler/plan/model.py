@@ -102,8 +102,8 @@ class ImpactPlan(Landing):
 
     @property
     def velocity_ratio(self) -> float | None:
-        """`towards` divided by the critical velocity of the particle's metal. None if it is not known; infinite at the melting
-        point."""
+        """`towards` divided by the critical velocity of the particle's metal. None if this critical velocity is not known; infinite at
+        the melting point."""
         critical = self.formula.critical
         return None if critical is None else self.towards / critical if critical else math.inf
 
@@ -135,12 +135,12 @@ class TargetPlan:
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """Its metals in the order of their bodies: that of the lowest body, then those of the layers upwards."""
+        """Its materials in the order of the bodies: that of the lowest body, then those of the layers upwards."""
         return (self.material, *(metal for metal, _ in reversed(self.layers)))
 
     @property
     def ceramics(self) -> tuple[Material, ...]:
-        """Those of its metals that are ceramics."""
+        """The ceramics among `materials`."""
         return tuple(metal for metal in self.materials if metal.is_ceramic)
 
     @property
@@ -172,7 +172,7 @@ class SolidPlan:
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision about one effect. number: name of its value; on: True if the effect is on; why: the reason."""
+    """The decision about one effect. number: name of the deciding number; value: this number; on: True means on; why: the reason."""
 
     name: str
     number: str
@@ -218,7 +218,7 @@ class Plan:
     skipped: tuple[str, ...] = ()
 
     def is_on_coating(self, i: int) -> bool:
-        """Whether impact i is on a coating, with its own sub-domain."""
+        """Whether impact i hits a coating: it is not the first impact, and its window is finite."""
         return i > 0 and math.isfinite(self.impacts[i].window)
 
     @property

@@ -48,11 +48,11 @@ def divided(number: int, weights: np.ndarray) -> np.ndarray:
 
 def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], list[float | None]]:
     """Numbers of particles in the passes of a layer, without empty passes. Returns also for each particle of the coating the time (s)
-    until the next particle, None if the path does not set it.
+    until the next particle, None if it is not known.
 
-    A layer is one run of the gun over all lines. The numbers follow from the mass that each pass brings to the patch; the particles
-    of a pass have equal steps of this mass. folder: folder to which a file name is relative. Raises ValueError; the message begins
-    with the name of the field.
+    A layer is one run of the gun over all lines. The numbers are in proportion to the mass that each pass brings to the coated area;
+    equal masses arrive between the particles of a pass. If the gun does not move, each time is `table.dwell`. folder: folder to which a
+    file name is relative. Raises ValueError; the message begins with the name of the field.
     """
     number = table.number // table.layers
     if path.passes is None:

@@ -78,8 +78,8 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
 
 
 def _settled(scene: Scene) -> dict[str, bool]:
-    """The effects that the scene sets; True means on. They follow from the key `effects`, or because a requested result needs
-    them."""
+    """The effects that the scene sets; True means on. They are those of the key `effects`, those that residual stresses need, and
+    cooling if a dwell follows from the spray."""
     settled = requested(scene.effects)
     if scene.derived.ambient is not None:  # they cause residual stresses
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled

@@ -93,7 +93,7 @@ class Scene(SceneData):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
-        """Check a scene of nested dicts, as from TOML. Raises SceneError with all problems."""
+        """Check a scene of nested dicts, as from TOML. source: as in `from_text`. Raises SceneError with all problems."""
         if "scene" in data and not {"particle", "coating"} & data.keys() and {"points", "ensemble"} & data.keys():
             raise SceneError([f"this is the file of a sweep, not of a scene: run coldspray sweep {source}"], source)
         scene = _checked(data, source)

@@ -59,14 +59,13 @@ def companions(scene: Scene) -> tuple[int, ...]:
 
 
 def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
-    """Error of the first of several values, in their unit, and the order of the extrapolation.
+    """Error of the first of several values, in their unit, and the order p of the extrapolation.
 
     h: spacings, in any unit, the finest first. The fit is v + a h^p (Eca & Hoekstra 2014). p is the best of ORDERS if it is not at an
-    end of them, otherwise the better of FIXED_ORDERS. Three terms: the distance a h^p to zero spacing, the standard deviation of the
-    fit, and the distance of the first value from the fit. If the standard deviation is smaller than the range of the values per step of
-    refinement, the error is the sum of the terms, the first one times SAFETY. Otherwise it is the sum times SAFETY_UNCERTAIN times the
-    ratio of standard deviation to range per step. If all values are equal, it is 0. For two values the order is FORMAL_ORDER and the
-    error is SAFETY_UNCERTAIN a h^p (Roache 1994, J. Fluids Eng. 116, 405).
+    end of them, otherwise the better of FIXED_ORDERS. e = |a| h^p at the finest spacing; s: standard deviation of the fit; d: distance
+    of the first value from the fit; R: range of the values divided by their number less 1. If s < R, the error is SAFETY e + s + d.
+    Otherwise it is SAFETY_UNCERTAIN (s / R) (e + s + d). If all values are equal, it is 0. For two values p is FORMAL_ORDER and the
+    error is SAFETY_UNCERTAIN e (Roache 1994, J. Fluids Eng. 116, 405).
     """
     H, y = np.asarray(h, float), np.asarray(values, float)
     if len(y) == 2:

@@ -103,7 +103,7 @@ def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str
 
 
 def _hot(material: Material, *reached: float) -> str:
-    """Text about bodies that may reach the given temperatures, K; "" if all are far from melting."""
+    """Text about bodies of a material that may come near its melting point; "" if none does. reached (K): their temperatures."""
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""

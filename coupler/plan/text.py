@@ -90,7 +90,7 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
 
 
 def _note(warning: str, brief: bool) -> list[str]:
-    """Lines of a warning; with `brief` without the names of strength sets that are valid."""
+    """Lines of a warning; with `brief` without the names of the strength sets that are fitted at the strain rate."""
     sets = ""
     if warning.startswith(BEYOND_FIT):
         warning, _, sets = warning.partition("; ")

@@ -89,9 +89,9 @@ def extract_block(
 def clip(
     points: NDArray, tets: NDArray, parent: NDArray, values: NDArray, off: NDArray, least: float
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """The part of a mesh of tetrahedra in which a linear field is negative. off (n,): values of the field at the nodes. Nodal values
-    (n,k) are interpolated at new nodes. Parts of a tetrahedron have its parent (m,). Those with a volume below `least` are left out.
+    """Part of a mesh where a linear field, `off` (n,) at the nodes, is negative: its points, tets, parent (m,) and values (n,k).
 
+    Nodal values are interpolated at new nodes. Parts of a tetrahedron have its parent. Parts with a volume below `least` are left out.
     Each edge that crosses the plane gets a new node. A tetrahedron is divided at the first of its crossing edges, in the order of
     their indices, until no edge crosses. Neighbours divide their common face in the same order, so that the mesh stays conforming.
     """

@@ -64,7 +64,7 @@ class Problem:
         return self._driven([prescribed] * (6 if self.components == 3 else 3))
 
     def mixed(self) -> NDArray:
-        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; 0 between loads with different conditions."""
+        """Stiffness (6,6) Pa or conductivity (3,3) W/mK under mixed conditions; 0 between loads that prescribe different components."""
         if self.components == 1:
             return self._driven(list(self.on_face))
         prescribed = np.zeros((6, 3, len(self.x)), bool)
@@ -77,9 +77,9 @@ class Problem:
 
     def static(self) -> NDArray | None:
         """Stiffness (6,6) Pa or conductivity (3,3) W/mK under uniform tractions or fluxes on the metal of the faces (lower bound). If
-        pores make a resultant force or moment, tractions that vary linearly over the same faces balance it. They act only on nodes
-        at which the mixed conditions also prescribe values, so that the result stays below the mixed one. None if no part of the block
-        connects all six faces, or a part has fewer than three prescribed points, because it could move without limit."""
+        pores make a resultant force or moment, tractions that vary linearly over the same faces balance it. All tractions act only
+        where the mixed conditions prescribe values, so that the result stays below the mixed one. Only the largest connected part bears
+        load. None if this part does not reach all six faces, or is connected as by a hinge and could turn without limit."""
         loads = self.uniform(self.area.T).T
         T, free = self._leads(np.zeros(len(loads), bool))
         K = csr_array(T.T @ self.K @ T)
@@ -107,8 +107,8 @@ class Problem:
         return stiffness if least > LEAST * most else None
 
     def _driven(self, prescribed: list[NDArray]) -> NDArray:
-        """Energies of the loads, per volume, if the components `prescribed` have the values of the linear fields. Raises
-        SolverError."""
+        """Matrix (loads, loads) of stiffness or conductivity if the linear fields are prescribed on the components `prescribed` of each
+        load; 0 between loads with different `prescribed`. Raises SolverError."""
         answer = self.uniform(self.x).copy()
         alike = np.array([next(k for k, own in enumerate(prescribed) if (own == each).all()) for each in prescribed])
         for first in dict.fromkeys(alike):
@@ -163,10 +163,10 @@ class Problem:
 
 
 def elastic(block: Block, lame: NDArray, shear: NDArray, strain: float = -1.0) -> Problem:
-    """The elastic problem of a block under small further loads, while it is pressed (strain -1) or stretched (1) equally in all
-    directions, in the mixed conditions. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the
-    opposite points. Touching surfaces slide without friction: those that bear pressure in this state are closed, the others are
-    open. With these fixed, the problem is linear, and the three conditions give bounds. Raises SolverError."""
+    """The linear elastic problem of a block. lame, shear (m,) Pa: Lame's constants of each tetrahedron. Bonded nodes move with the
+    opposite points. Touching surfaces slide without friction. They are closed where they bear pressure, else open, in a block that is
+    pressed (strain -1) or stretched (1) equally in all directions under mixed conditions (see the module). They stay so under all
+    loads. The problem is therefore linear, and the three conditions of the module give bounds. Raises SolverError."""
     of_lame, of_shear = (gradient_products(block.points, block.tets, each) for each in (lame, shear))
     laplacian = of_shear[0][0] + of_shear[1][1] + of_shear[2][2]
     rows = [
@@ -202,7 +202,7 @@ def conducting(block: Block, conductivity: NDArray, conductance: float) -> Probl
 
 
 def _jump(joints: Joints, n: int) -> csr_array:
-    """The difference (k,n) between the value at each node of the joints and the value at the opposite point."""
+    """Matrix (k,n): nodal values (n,) -> value at each node of the joints minus the value at the opposite point."""
     rows = np.repeat(np.arange(len(joints.nodes)), 4)
     columns = np.column_stack([joints.nodes, joints.triangles]).ravel()
     values = np.column_stack([np.ones(len(joints.nodes)), -joints.weights]).ravel()

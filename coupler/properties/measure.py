@@ -54,10 +54,10 @@ class Properties:
     """Effective properties of a block of a cold coating.
 
     side, height (m): dimensions of the block; splats: number of splats that fill its volume; solid: fraction of its volume that is
-    metal; open_share: fraction of its vertical columns whose metal ends below its top; bonded: fraction of the joint area that is
-    bonded; gap: volume between bonded surfaces, which counts as metal, divided by the volume of the block; stiffness: 6x6 matrix (Pa)
-    in Voigt's order (xx yy zz yz xz xy) for each condition; that of "static" is None where `Bracket` has None; values: bracket of
-    each property; warnings: texts. Where surfaces only touch, stiffness and moduli are those of the block while it is pressed, and
+    metal; open_share: share of its vertical columns in which metal ends below the top of the block; bonded: fraction of the joint area
+    that is bonded; gap: volume in joints, which counts as metal, divided by the volume of the block; stiffness: 6x6 matrix (Pa) in
+    Voigt's order (xx yy zz yz xz xy) for each condition; that of "static" is None where `Bracket` has None; values: bracket of each
+    property; warnings: texts. Where surfaces only touch, stiffness and moduli are those of the block while it is pressed, and
     under keys with "_stretched" those while it is stretched (`homogenise.elastic`).
     """
 
@@ -80,8 +80,8 @@ def properties(
     """Effective properties of the cold coating of a run.
 
     side (m): edge of the block in the plane of the surface (default: the square in the disc that `coating` measures); heights (m):
-    lowest and highest z of the block (default: from above 99 % of the substrate to below 90 % of the tops); conductance (W/(m2 K)): of
-    facets that touch (default: CONDUCTANCE). Raises StoreError without a cold coating, or for too small a block.
+    lowest and highest z of the block (default: quantile GROUND of heights of the substrate, TOP of heights of the coating); conductance
+    (W/(m2 K)): of facets that touch (default: CONDUCTANCE). Raises StoreError without a cold coating, or for too small a block.
     """
     _, splats, metals = cold_coating(result)
     low, high, open_share = corners(splats, side, heights)
@@ -131,8 +131,8 @@ class Sample:
 
 
 def corners(splats: Splats, side: float | None, heights: tuple[float, float] | None) -> tuple[NDArray, NDArray, float]:
-    """Lowest and highest corner (3,) m of the requested block, and the fraction of its vertical columns whose metal ends below its
-    top. Raises StoreError if the block reaches into the substrate, lies above the coating, or is narrower than a column."""
+    """Lowest and highest corner (3,) m of the requested block, and the share of its vertical columns in which metal ends below the
+    block's top. Raises StoreError if the block reaches into the substrate, lies above the coating, or is narrower than a column."""
     half = disc_radius(splats) / np.sqrt(2.0) if side is None else 0.5 * side
     columns = Columns(splats, (0.0, 0.0), np.sqrt(2.0) * half, 2.0 * COLUMN * splats.element_size)
     inside = np.maximum(abs(columns.x), abs(columns.y)) <= half
@@ -152,8 +152,8 @@ def corners(splats: Splats, side: float | None, heights: tuple[float, float] | N
 def extract_sample(
     splats: Splats, metals: list[Material], low: NDArray, high: NDArray, law: NDArray | None = None, first: int = 1
 ) -> Sample:
-    """The block between two corners (3,) m. law (n,k): values of the bond of each node; first: 1, or 0 to include the substrate. Raises
-    StoreError if a block without the substrate has room for fewer than LEAST_SPLATS splats."""
+    """The block between two corners (3,) m. law (n,k): values of the bond of each node; first: least impact number in the block, 0
+    (substrate) or 1. Raises StoreError if a block without the substrate has room for fewer than LEAST_SPLATS splats."""
     mesh, impact = splats.mesh, splats.impact[splats.body]
     own = impact >= first
     of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)

@@ -49,11 +49,11 @@ WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion":
 class Pull:
     """Result of a tensile test of a block, until it parts or has the strain MOST, or a tetrahedron inverts after the peak.
 
-    film: factor on strength times thickness of the oxide film, None if bonds of the run never break; strength: greatest force over
-    the area of the block, pores included; strain: strain at the greatest force; has_parted: whether the block has parted;
+    film: strength times thickness of the oxide film over its central value, None if bonds of the run never break; strength: greatest
+    force over the area of the block, pores included; strain: strain at this force; has_parted: whether the block has parted;
     at_substrate: of the bonded area that has lost more than half of its strength, the share at the substrate; brittle: share of the
     bonds in the work of bonds and plastic flow; energy_error: largest error of the energy balance, relative to the whole work; rows:
-    stress and energies against strain; opened: points, facets of the joints, and for each damage (1: broken), whether it was bonded.
+    stress and energies against strain; opened: points, facets of the joints, and "damage" (1: broken) and "was_bonded" of each facet.
     """
 
     direction: str
@@ -72,10 +72,10 @@ def strengths(
     result: Result, side: float | None = None, heights: tuple[float, float] | None = None, films: tuple[float, ...] = FILM,
     directions: Sequence[str] = tuple(AXES),
 ) -> list[Pull]:  # fmt: skip
-    """Pull the block of a run (`measure.properties`) in each direction (of AXES), with each film. adhesion: pull across a block that
-    includes the substrate, down to two elements below the lowest splat. The energy of a bond is proportional to strength times
-    thickness of the film. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit
-    of plastic flow between the pores. Raises the errors of `properties`."""
+    """Pull the block of a run (`measure.properties`) in each direction (of AXES), with each film (`Pull.film`). Direction "adhesion":
+    across a block that includes the substrate, down to two elements below the lowest splat. The energy of a bond is proportional to
+    the film. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit of plastic
+    flow between the pores. Raises StoreError, as `properties` or without bond strengths, and SolverError, as `pull`."""
     plan, splats, metals = cold_coating(result)
     data, law = splats.mesh.data, None
     if "bond_strength" in data:
@@ -188,8 +188,8 @@ class Machine:
 
 
 def _turning(bond: Bond, x: NDArray) -> Bond:
-    """Bonds whose weights are upper bounds of the motion of the bonded point, across the gap, over that of each corner of the facet.
-    The facet turns by the motion of a corner over its height, which is small where a face of the block cuts the facet. x (n,3) m."""
+    """Bonds whose weights are upper bounds of the motion of the bonded point for a unit motion of each corner. The turn of the facet
+    adds gap / height of the facet at this corner. The height is small where a face of the block cuts the facet. x (n,3) m."""
     corners = x[bond.triangles]
     opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     twice = 2.0 * np.linalg.norm(area_vectors(x, bond.triangles), axis=1)[:, None]
@@ -197,8 +197,8 @@ def _turning(bond: Bond, x: NDArray) -> Bond:
 
 
 def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
-    """Bonds at the bonded joints of a block, then at the touching ones, which count as broken. node: new index of each node. The width
-    of ligaments, 2 G / N, grows with the film; springs reach N below this opening, as in `physics.adhesion.ligament_bonds`."""
+    """Bonds at the bonded joints of a block, then at the touching ones, which count as broken. node: new index of each node. film: as
+    in `Pull`. Width of ligaments: 2 film energy / strength. Springs limit the strength as in `physics.adhesion.ligament_bonds`."""
     size = float(np.cbrt(6.0 * np.sqrt(2.0) * t.mesh.V0.mean()))  # edge of a regular tetrahedron
     stiffness, joints = penalty(float(t.laws["K"].min()), size), block.joints
     law: dict[str, NDArray] = {}
@@ -218,7 +218,7 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
 
 
 def write_pulls(folder: Path, pulls: list[Pull], about: str) -> None:
-    """Write NAMES: stress and energies against strain, a figure, the joints at the end with the central film. Raises StoreError."""
+    """Write NAMES: stress and energies against strain, figure, joints at the end of pulls with film 1 or None. Raises StoreError."""
     rows = [{"direction": p.direction, "film": p.film, **row} for p in pulls for row in p.rows]
     write_rows(folder / NAMES[0], list(rows[0]), rows, about)
     figure = blank(5.0, 3.5, 160, "constrained")

@@ -93,9 +93,9 @@ class Strip:
 
 
 def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float | None = None) -> Strip:
-    """A strip of a run's substrate metal, `thickness` m, with the run's coating above z = 0. Slices of the coating, half an element
-    high, have their in-plane stress and the in-plane modulus of the block `of`, scaled with their share of metal. sprayed_at:
-    temperature (K) of strip and coating after the last layer, from which both cool to ambient; None: only the run cools them. Raises
+    """A strip of a run's substrate metal, `thickness` m, with the run's coating above z = 0 in slices half an element high. A slice
+    has its in-plane stress times its share of metal, and the in-plane modulus of `of` times min(share / `of.solid`, 1). sprayed_at:
+    temperature (K) of strip and coating after the last layer, from which both cool to ambient; None: no such cooling. Raises
     StoreError without a coating above z = 0."""
     plan, splats = read_plan(result.directory), read(result)
     step, radius = 0.5 * splats.element_size, disc_radius(splats)

@@ -27,8 +27,8 @@ class DistributedParticle:
     """The particle on the root: all its points, on one rank or on several. It has the attributes of `particle.particle.Particle`.
 
     x, v, f_ext (n,3): arrays of all points, in the order in which they were given. Within a chunk of steps x and v are updated only
-    at points that may be in contact. All other points, and totals, have the values at the end of the last chunk. dt (s); steps.
-    waited: time (s) for which this rank has waited for other ranks in steps.
+    at points that may be in contact. All other points, and totals, have the values at the end of the last chunk. dt (s): of the last
+    steps; steps: number of steps made; waited: time (s) for which this rank has waited for other ranks in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
@@ -200,7 +200,7 @@ class DistributedParticle:
         return [seconds / loop for seconds in waited]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
-        """Call a function of a module on every rank. Returns the results by rank."""
+        """Call work(), a function at the top level of a module, on every rank. Returns the results by rank."""
         return [*([] if self.local is not None else self.ask("call", work)), work()]
 
     def close(self) -> None:

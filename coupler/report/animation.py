@@ -54,7 +54,7 @@ def animate(
 
 
 def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
-    """The pictures (rows, columns, 3) of the animation, of one size, with even numbers of rows and columns, as a video requires."""
+    """The pictures (rows, columns, 3), of one size; rows and columns are even, as a video requires. told(text): called for each one."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     sections = [cross_section(result, step, (field,), at, seen, PIXELS) for step in steps]
@@ -80,7 +80,7 @@ def ffmpeg() -> str | None:
 
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    """Write the pictures through a pipe to ffmpeg. Raises StoreError if ffmpeg is missing or fails."""
+    """Write `rate` pictures per second by ffmpeg, the last one `rest` times more. Raises StoreError if ffmpeg is missing or fails."""
     if (program := ffmpeg()) is None:
         raise StoreError(f"cannot write {path}: ffmpeg is missing: pip install coldspray[film], or write a .gif")
     first = next(pictures)

@@ -70,7 +70,7 @@ def energy(history: History) -> Figure | None:
 
 
 def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
-    """The history with two rows of NaN between impacts, which no curve connects; and the index of the first row of each impact."""
+    """The history with two rows of NaN between impacts, as a gap in each curve, and the index of the first row of each impact."""
     time = history["time"]
     firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
     apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
@@ -80,7 +80,7 @@ def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
 
 
 def over_time(history: History, name: str) -> Figure | None:
-    """A figure of CURVES against time; None if the history lacks the columns."""
+    """The figure `name` of CURVES: its columns of the history against time; None if the history lacks all of them."""
     label, factor, columns = CURVES[name]
     if not len(history.get("time", ())):
         return None
@@ -92,7 +92,7 @@ def over_time(history: History, name: str) -> Figure | None:
 
 
 def compared(histories: Mapping[str, History], column: str, label: str, factor: float) -> Figure | None:
-    """One column of several runs against time; None if a history lacks it. histories: history of each run by its name."""
+    """One column against time for all runs that have it; None if no run has it. histories: history of each run by its name."""
     traces = []
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
@@ -113,7 +113,7 @@ def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
 def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
-    """A field along the axis at several times, depth downwards; None without the field. span: least and greatest depth to show, um."""
+    """A field in vertical profiles at several times, depth downwards; None without it. span: least and greatest depth to show, um."""
     traces = []
     for time, colour in shades(profile.time for profile in profiles).items():
         own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]
@@ -128,7 +128,7 @@ def shades(times: Iterable[float]) -> dict[float, str]:
 
 
 def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) -> Figure | None:
-    """Normal stresses along the axis at one time; the depth increases downwards. span: as in `with_depth`."""
+    """Normal stresses along vertical profiles at one time, depth downwards; None without stress. span: as in `with_depth`."""
     lines = [(profile, profile.values["stress"] * 1e-6) for profile in profiles if "stress" in profile.values]
     traces = [
         _down([(p, values[:, k]) for p, values in lines], f"σ<sub>{axis}</sub>", LINES[k], DASHES[k])
@@ -138,7 +138,7 @@ def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) ->
 
 
 def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> Trace:
-    """Values of several bodies as one curve, with a gap between two bodies."""
+    """Values of several bodies over depth as one curve, with a gap between two bodies. words: name of the curve."""
     gap = [np.nan]
     x = np.concatenate([part for _, values in lines for part in (values, gap)])
     y = np.concatenate([part for profile, _ in lines for part in (profile.depth * 1e6, gap)])

@@ -62,7 +62,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
 
 
 def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
-    """The measures of the runs with their errors. For two runs there is also the change, and whether it is within both errors."""
+    """Lines of measures with their errors, by group. For two runs there is also the change (`_change`) as last cell."""
     entries, errors = [plain(result.values) for result in results], [errors_of(result.summary) for result in results]
     groups = table_lines(entries)
     for group, lines in groups.items():
@@ -165,7 +165,7 @@ def _sections(
 
 
 def _change(before: object, after: object, *errors: float | None) -> str:
-    """The change in % as text, and whether it is at most the sum of both errors; "" if the values are no numbers."""
+    """The change in % as text, with a remark if it is at most the sum of both `errors`; "" without numbers or if `before` is 0."""
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after))
     text = f"{round((after - before) / abs(before), 3) + 0.0:+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
     known = [error for error in errors if error is not None]

@@ -15,7 +15,7 @@ NEAR = 12  # points over which a value inside the particle is averaged
 @dataclass(frozen=True)
 class Field:
     """A field in pictures. label, unit: as displayed; factor: from SI to this unit; colours: colour map of matplotlib; floor: least
-    possible value, None if there is none; least_range: of the colour scale, in this unit: a smaller one shows noise."""
+    possible value, None if there is none; least_range: least range of the colour scale, in this unit, so that it shows no noise."""
 
     label: str
     unit: str

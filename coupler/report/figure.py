@@ -44,8 +44,8 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
 
 
 def label_log(axis: Axis, factor: float = 1.0) -> None:
-    """Label a logarithmic axis, whose limits are already set, at 1, 2, 5 times powers of ten; a short axis gets evenly spaced labels.
-    factor: from the values to the unit of the labels."""
+    """Label a logarithmic axis, whose limits are already set, at 1, 2, 5 times powers of ten. If its limits differ at most by a factor
+    of 6, labels are evenly spaced. factor: from the values to the unit of the labels."""
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
@@ -53,8 +53,8 @@ def label_log(axis: Axis, factor: float = 1.0) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG. Raises StoreError if the file cannot be written. Only runs of equal bytes are compressed: a third of the
-    time, for files that are 12 % longer."""
+    """Write a figure as PNG. Raises StoreError if the file cannot be written. Only sequences of equal bytes are compressed: it takes a
+    third of the time of the default compression, and files are 12 % longer."""
     with replacing(path) as part:
         figure.savefig(part, format="png", metadata={"Software": MARK}, pil_kwargs={"compress_type": zlib.Z_RLE})
 

@@ -53,7 +53,7 @@ class Page:
         return f'<figure>{head}<div class="chart" id="{name}"></div></figure>'
 
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
-        """The text of the HTML file."""
+        """The text of the HTML file. heading: text; under (below the heading), top (above the sections), footer: HTML."""
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
         text = {kind: (files(__package__) / f"page.{kind}").read_text("utf-8") for kind in ("html", "css", "js")}
         nav = "".join(f'<a href="#{name}">{escape(word)}</a>' for name, word, _ in self.sections)
@@ -133,8 +133,8 @@ def report(
 
 
 def picks(result: Result) -> list[int]:
-    """Indices of the stored steps to draw, PICTURES at most. One impact: steps at even times up to the greatest deformation, and
-    the last step. Several impacts: their greatest deformations, and the last step. Without a summary: evenly spaced steps."""
+    """Indices of the stored steps to draw, PICTURES at most. One impact: steps at equal intervals up to the greatest deformation, and
+    the last step. Several: steps at their greatest deformations, and the last step. Without a summary: evenly spaced steps."""
     times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1
     peaks = list(_named_times(result.summary).values())

@@ -106,7 +106,7 @@ def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) 
 
 
 def each_impact(summary: Summary) -> str:
-    """All impacts of a run with several: up to SIDE_BY_SIDE as columns with all measures, more as rows with the main ones."""
+    """Table of all impacts: up to SIDE_BY_SIDE as columns with all measures; more as rows with the main measures. "" for one impact."""
     entries = impacts(summary)
     if len(entries) > SIDE_BY_SIDE:
         head, *rows = brief(summary)

@@ -21,8 +21,8 @@ BRIGHT = 0.82  # mean brightness of materials in pictures
 
 @dataclass(frozen=True)
 class Phases:
-    """The materials of a run. names: those of the particles in the order of the impacts, then those of the substrate alone; the other
-    fields are indices into names. particles (n, 2): of shell and core of the particle of each impact; ground (k,): of the bodies of the
+    """The materials of a run. names: those of particles in the order of the impacts, then those that only the substrate has. The other
+    fields are indices into names. particles (n, 2): material of shell and core of each particle; ground (k,): of each body of the
     substrate."""
 
     names: list[str]

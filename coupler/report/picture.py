@@ -51,9 +51,9 @@ class Range(NamedTuple):
 @dataclass(frozen=True)
 class Stage:
     """The plane and the reference values of all cross-sections of a run, from its first step. plane: y (m); level: height of the
-    undeformed surface, um; diameter: diameter of the particle, um; void: if a place in the particle is farther than this from all
-    points, it counts as hollow, m. top: greatest height of the undeformed surface, um; ground: its lines in the plane, (k, 2) um;
-    phases: materials, None if the particles are of one."""
+    undeformed surface below the particle, um; diameter: diameter of the particle, um; void: if a place in the particle is farther
+    than this from all points, it counts as hollow, m; top: greatest height of the undeformed target, um; ground: outlines of the
+    undeformed target in the plane, (k, 2) um each; phases: materials, None if all particles are of one material."""
 
     plane: float
     level: float
@@ -71,7 +71,7 @@ class CrossSection:
     time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
     (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
     substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels of the
-    particle over `extent`; phases: names of the materials, whose indices are the values of PHASE; empty if the particles are of one.
+    particle over `extent`; phases: names of the materials by the values of PHASE; empty if all particles are of one material.
     """
 
     time: float
@@ -102,8 +102,8 @@ def drawable(result: Result) -> list[str]:
 
 
 def stage(result: Result) -> Stage:
-    """The `Stage` of a run. The plane goes through the middle of the particle at the start. For several particles it is the first
-    plane through a particle centre that crosses most of them. Raises StoreError if no step is stored."""
+    """The `Stage` of a run. The plane goes through the middle of the particle at the start. For several particles it goes through the
+    centre of one of them and crosses as many particles as possible. Raises StoreError if no step is stored."""
     if not stored_steps(result):
         raise StoreError(f"{result.directory} has no stored step of particle, surface and target: try again later")
     particle, surface, target = (result.fields(0, domain) for domain in DOMAINS)
@@ -206,8 +206,8 @@ def _of_splats(target: Fields) -> NDArray[np.bool_]:
 
 
 def cold_section(result: Result, at: Stage, seen: View) -> tuple[CrossSection, dict[str, Range]]:
-    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS (`with_phases`). The scale of the in-plane stress
-    is symmetric about 0. Raises StoreError if the run has no closing stage."""
+    """The cross-section after the closing stage, and the colour scales of COLD_FIELDS and, for several materials, PHASE. The scale of
+    the in-plane stress is symmetric about 0. Raises StoreError if the run has no closing stage."""
     bodies = result.fields(-1, COLD)
     bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
     section = section_of_bodies(bodies, COLD_FIELDS, at, seen)
@@ -240,8 +240,8 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
 def _images(
     particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
 ) -> tuple[dict[str, NDArray], View]:
-    """Fields of the particle, and its core if it has one, as pixels over its cross-section, averaged over the nearest points, NaN in
-    voids. Returns also the extent of the pixels, um."""
+    """Pixels (rows from the bottom, columns) over the cross-section of the particle: name -> values, also "core" if it is stored. They
+    are averaged over the nearest points, NaN in voids. Returns also the extent of the pixels, um."""
     if not loops:
         return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
     corners = np.concatenate(loops)
@@ -277,7 +277,7 @@ def with_phases(section: CrossSection, ranges: Mapping[str, Range]) -> dict[str,
 
 
 def outline_of(loops: Sequence[NDArray]) -> Outline:
-    """The path round closed lines (k, 2). A closed path of matplotlib ignores its last corner: the first one comes again."""
+    """The path along closed lines (k, 2). Each gets its first corner again at the end, because matplotlib ignores the last corner."""
     return Outline.make_compound_path(*(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops))
 
 

@@ -37,7 +37,7 @@ def frames(count: int) -> list[int]:
 def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at: Stage) -> dict[str, object]:
     """The 3D view as data for JSON. steps: stored steps to show; ranges: colour scale of each field; at: plane of the cross-section.
 
-    `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: below the particle at all times (um);
+    `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: a z below the particle at all times (um);
     `fields`: the fields with colours and ranges; `triangles`: sets of index triplets, which frames share; `frames`: for each time
     the meshes "target", "particle", "target section" and "particle section", each with the index of its set of triangles, its points
     (in a box three times as large, with the same centre) and values; and `lines`: x and z (um) of the outlines of the cross-section.
@@ -145,7 +145,8 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
 
 
 def _particle_section(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
-    """The cross-section of the particle as triangles between its outline and a grid of points inside, without voids."""
+    """The cross-section of the particle: triangles between its outlines `loops` (um) and a grid inside, without voids. points: m;
+    cloud: field -> values at points."""
     if not loops:
         return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
 

@@ -41,7 +41,7 @@ Block = Mapping[str, object]  # measures of one impact or run at one time
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table of measures. cells: the value in each block, "" for a block without a value."""
+    """A line of a table of measures. cells: text for each column (each `Block`), "" for a column without a value."""
 
     key: str
     label: str
@@ -61,7 +61,7 @@ def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = No
 
 
 def columns(summary: Summary) -> dict[str, Block]:
-    """The values of each column by its heading: the last impact at its greatest deformation; at its end, with all other values."""
+    """Columns of a table by heading: the last impact at its greatest deformation; its end together with all other values of the run."""
     if not summary:
         return {}
     greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
@@ -205,7 +205,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
 
 
 def alerts(summary: Summary) -> list[str]:
-    """The warning that makes the whole result doubtful, the first of the run: numerical dissipation above DISSIPATION_LIMIT."""
+    """List of the first warning of the run if the numerical dissipation of an impact exceeds DISSIPATION_LIMIT; otherwise empty."""
     warnings = summary["run"].get("warnings") if summary else None
     shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
     doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)

@@ -182,7 +182,8 @@ def check_shares(shares: Sequence[float]) -> None:
 
 
 def _completed(table: object, common: dict[str, object]) -> object:
-    """A table [[coating.powder]] whose missing keys come from [coating]. The keys diameter and sizes replace each other."""
+    """A table [[coating.powder]] whose missing keys come from [coating]. If it has diameter or sizes, it gets no diameter, spread or
+    sizes from there."""
     if not isinstance(table, dict):
         return table
     sized = {"diameter", "spread", "sizes"} if {"diameter", "sizes"} & table.keys() else set()

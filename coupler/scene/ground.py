@@ -13,7 +13,8 @@ _Length = Annotated[float, Quantity("um", "0.1 um", "2000 um")]
 
 
 class Straight(Section):
-    """A straight shape of the surface through the axis. direction (rad), from x: across a groove, or up a step or slope."""
+    """A shape of the surface whose height changes only in one direction; its middle is on the axis. direction (rad): angle of this
+    direction from x, across a groove, or up a step or slope."""
 
     direction: Annotated[float, Quantity("deg", "-180 deg", "180 deg")] = 0.0
 
@@ -34,14 +35,14 @@ class Step(Straight):
 
 
 class Slope(Straight):
-    """angle (rad): of the whole surface."""
+    """angle (rad): of the whole surface to the plane z = 0."""
 
     angle: _Flank
 
 
 class HeightMap(Section):
-    """Heights in a file (`coupler.plan.ground`), whose middle is put on the axis and whose mean on z = 0. unit: length (m) of one unit
-    of x and y, such as the pitch of pixels; height (m): of one unit of the values, or of white over black, default `unit`."""
+    """Heights in a file (`coupler.plan.ground`). Their middle is put on the axis, their mean on z = 0. unit: length (m) of one unit of
+    x and y, such as the pitch of pixels; height (m): of one unit of the values, default `unit`, or of white over black."""
 
     file: str
     unit: Annotated[float, Quantity("um", "0.0001 um", "1 m")] = 1e-6
@@ -57,8 +58,8 @@ class Layer(Section):
 
 class Substrate(Section):
     """The target, a cylinder; its top face is the surface. SI units. window: radius (m) of the computed part around each impact.
-    roughness: Sa (m) of the surface; roughness_length (m): its correlation length, at which the correlation is 1/e. The heights of the
-    surface are the sum of roughness, groove, step, slope and height_map. layer: on its metal, the uppermost first, within `height`."""
+    roughness: Sa (m) of the surface; roughness_length (m): its correlation length, at which the correlation is 1/e. The heights are the
+    sum of roughness, groove, step, slope and height_map. layer: layers on `material`, the uppermost first, within `height`."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6

@@ -55,7 +55,7 @@ def job_schema() -> dict[str, Any]:
 
 
 def _one_or_several(name: str, tables: dict[str, Any]) -> dict[str, Any]:
-    """The entry of a table that a file has once, or several times as an array. name: of its definition; tables: all definitions."""
+    """The schema entry of a table that may also be an array of tables. name: its key in `tables`, the definitions of the schema."""
     table = tables[name]
     # the keys of the table and its array in one entry, without anyOf: an editor then marks only the wrong key
     return {key: table[key] for key in ("properties", "required", "additionalProperties")} | {

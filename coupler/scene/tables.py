@@ -135,9 +135,9 @@ class PairTable(Section):
 
 
 class AdhesionTable(Section):
-    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Strengths in Pa, energies in J/m2; threshold: a pressure (Pa), a
-    strain or a ratio, depending on the criterion. Without kind and criterion the kind is "tied" by "velocity", or "none" if a metal
-    has no tensile strength."""
+    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Strengths in Pa, energies in J/m2; threshold: a pressure (Pa), a strain
+    or a ratio, depending on the criterion. Without kind and criterion the kind is "tied" and the criterion "velocity". But the kind is
+    "none" on a polymer, if no particle is of metal, or if one of these metals has no tensile strength."""
 
     kind: Kind | None = None
     criterion: Criterion | None = None
@@ -183,9 +183,9 @@ class Resolution(Section):
 
 
 class End(Section):
-    """When an impact ends: at rest, at the greatest deformation, or `time` s after its start; if two keys are given, at the earlier
-    time. "cold": at rest, and after the last impact all bodies cool to `ambient` (K). Default: "rest" for one particle, "cold" for
-    several. cooling_time (s): duration of this cooling, for static recovery; 0: no recovery."""
+    """When an impact ends. at: "rest", "greatest" (deformation) or "cold"; time: s after its start; with both keys, at the earlier
+    time. "cold": at rest, and after the last impact all bodies cool to `ambient` (K). Without both keys: "rest" for one particle,
+    "cold" for several. cooling_time (s): duration of this cooling, for static recovery; 0: no recovery."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None

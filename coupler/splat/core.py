@@ -21,7 +21,7 @@ LEVELS = 12  # of the bisection: the volume changes by whole tetrahedra
 def parts_of(cloud: Cloud, points: Floats, tets: Ints) -> Iterator[tuple[bool, Ints, Floats, Ints]]:
     """Yield shell and core of a mesh: whether the part is the core, its points (p,) of the cloud, nodes (n,3) m, tetrahedra (m,4).
 
-    If shell or core has fewer than MIN_POINTS points, or the core has no tetrahedra, there is one part, of the more frequent material.
+    There is only one part if shell or core has fewer than MIN_POINTS points (the larger one), or the core has no tetrahedra (shell).
     """
     everyone = np.arange(len(cloud.x))
     if cloud.core is None or min(cloud.core.sum(), (~cloud.core).sum()) < MIN_POINTS:
@@ -64,7 +64,7 @@ def _closed(tets: np.ndarray, core: np.ndarray) -> np.ndarray:
 
 
 def _double_edges(tets: np.ndarray) -> np.ndarray:
-    """The edges (k,2) of the surface of tetrahedra (m,4) that belong to more than two triangles."""
+    """The edges (k,2) that belong to more than two triangles of the surface of tetrahedra (m,4)."""
     ends = np.sort(boundary_faces(tets)[0][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, count = np.unique(ends, axis=0, return_counts=True)
     return edges[count > 2]

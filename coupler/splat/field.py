@@ -83,7 +83,7 @@ def _smooth(values: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def steepness(field: Field) -> np.ndarray:
-    """Magnitude (nx,ny,nz) of the gradient of a field, per cell."""
+    """Magnitude (nx,ny,nz) of the gradient of a field, with the edge of a cell as unit of length."""
     return np.sqrt(sum(slope**2 for slope in np.gradient(field.values)))
 
 
@@ -121,7 +121,7 @@ def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
 
 
 def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.ndarray]]:
-    """Fill voids, and remove separate fragments that are smaller than `smallest` m3.
+    """Fill voids that are smaller than `smallest` m3, and remove separate fragments that are smaller than this volume.
 
     Returns the field, and the cells (p,3) of each remaining component above the level, largest first.
     """

@@ -12,8 +12,8 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
     """Write the winding number of a closed surface at the centres of cubic cells to count (nx,ny,nz), which is zero before.
 
     vertices (k,3) m; triangles (m,3): normals outwards; corner (3,) m: corner of the first cell; h m: edge of the cells. Along the
-    line of cells through each (x, y) a downward facing triangle is an entry, an upward facing one an exit. A line through an edge
-    meets exactly one of the two triangles at the edge: both measure its side from the vertex with the smaller index.
+    line of cells through each (x, y) a downward facing triangle is an entry, an upward facing one an exit. If the line meets an edge,
+    only one of the edge's two triangles counts: for both, the side of the line is computed from the vertex with the smaller index.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)

@@ -37,8 +37,8 @@ CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 @dataclass(frozen=True)
 class Strategy:
-    """A method to mesh a body. source: of the shape, "carried" or "density"; mesher: key in `mesher.ALGORITHMS`; factor: on the element
-    size; sigma: smallest smoothing length divided by the element size."""
+    """A method to mesh a body. source: origin of the shape, "carried" or "density"; mesher: key in `mesher.ALGORITHMS`; factor: the
+    element size is multiplied by it; sigma: smallest smoothing length divided by the element size."""
 
     source: str
     mesher: str
@@ -80,9 +80,10 @@ class CloudShape:
     cache: tuple[tuple[str, float, float], Shape] | None = None
 
     def find(self, source: str, size: float, least_sigma: float) -> Shape:
-        """The shape with the smallest smoothing whose surface has no handles, or the fewest handles. size (m): size of the elements.
+        """The shape without handles that has the smallest smoothing length; if all have handles, the shape with the fewest.
 
-        Handles are holes in thin lips, too small for this mesh. Raises SplatError if surface and points differ in volume.
+        size: size of the elements, m; least_sigma: least smoothing length divided by `size`. Handles are holes in thin lips, too small
+        for this mesh. Raises SplatError if surface and points differ in volume, or if nothing remains after the smoothing.
         """
         key = source, size, least_sigma
         if self.cache is None or self.cache[0] != key:

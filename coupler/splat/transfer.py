@@ -44,7 +44,7 @@ class Fit:
 
 
 def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Velocities v + a + omega x r (n,3) with linear momentum P (3,) kg m/s and angular momentum L (3,) kg m2/s about the origin."""
+    """v plus the rigid motion (n,3) that makes the momentum P (3,) kg m/s, and the angular momentum about the origin L (3,) kg m2/s."""
     return v + rigid(x, mass, P - mass @ v, L - mass @ np.cross(x, v))
 
 

@@ -56,8 +56,8 @@ DRAG_LAWS: dict[str, Drag] = {"henderson": henderson, "carlson-hoglund": carlson
 
 
 def nusselt(Re: Numbers, M: Numbers, Pr: float) -> NDArray[np.float64]:
-    """Nusselt number of a sphere: Ranz & Marshall (1952), reduced for rarefaction and Mach number as by Kavanau (1955), in the form
-    of Carlson & Hoglund (1964). It refers to the difference from the recovery temperature of the gas."""
+    """Nusselt number of a sphere. It is based on the recovery temperature of the gas, not its static temperature. The law of Ranz &
+    Marshall (1952) is reduced at low density and high Mach number as by Kavanau (1955), in the form of Carlson & Hoglund (1964)."""
     continuum = 2 + 0.6 * np.sqrt(Re) * Pr ** (1 / 3)
     return continuum / (1 + 3.42 * M / (Re * Pr) * continuum)
 

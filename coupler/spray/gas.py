@@ -85,8 +85,7 @@ def area_ratio(M: float, gamma: float) -> float:
 
 
 def mach(ratio: float, gamma: float, supersonic: bool) -> float:
-    """Mach number where the flow area divided by the area of the throat is `ratio`, at least 1: the inverse of `area_ratio`, on its
-    subsonic or supersonic branch."""
+    """Mach number at which `area_ratio` is `ratio` (1 or more). supersonic: True for a Mach number above 1, False for one below."""
     from scipy.optimize import brentq
 
     if ratio < 1 + 1e-15:
@@ -126,7 +125,7 @@ class Flow:
     """Flow of a gas of total pressure p0 (Pa) and total temperature T0 (K) through a nozzle and a free jet to the target.
 
     standoff: from nozzle to target, m. ambient: pressure outside, Pa. bow_shock: whether a normal shock before the target stops the
-    jet. Raises ColdsprayError if a shock would be inside the nozzle, or the bow shock too close to it.
+    jet. Raises ColdsprayError if a shock would be inside the nozzle, or a bow shock within a tenth of the standoff from the exit.
     """
 
     gas: Gas
@@ -179,10 +178,10 @@ class Flow:
 
     @cached_property
     def jet(self) -> State:
-        """The jet at ambient pressure, with the mass, momentum and energy of the exit.
+        """The jet at ambient pressure. Its flows of mass, momentum (including pressure) and energy are those at the exit.
 
-        Yuceil & Otugen (2002), Phys. Fluids 14, 4206, for under-expanded jets. It is used here also for over-expanded jets; with a
-        normal shock in the exit it gives the state behind this shock.
+        Yuceil & Otugen (2002), Phys. Fluids 14, 4206, give this state for under-expanded jets. It is used here also for over-expanded
+        jets; with a normal shock in the exit it is the state behind this shock.
         """
         exit_ = self.inside(self.nozzle.end)
         u = exit_.u + (self.exit_pressure - self.ambient) / (exit_.rho * exit_.u)
@@ -225,7 +224,7 @@ class Flow:
 
     @cached_property
     def _at_rest(self) -> State:
-        """Velocity behind the bow shock; temperature and density of this gas at rest."""
+        """Two states in one: u directly behind the bow shock; T and rho of the same gas after it comes to rest (total values)."""
         before, g = self.outside(self.target), self.gas.gamma
         M, p = normal_shock(before.u / self.gas.sound(before.T), g)
         T = before.T + before.u**2 / (2 * self.gas.cp)

@@ -11,17 +11,17 @@ _NORMAL = NormalDist()
 
 
 class Sizes(NamedTuple):
-    """A size distribution. share (n,): mass fraction, 0 to 1 exclusive, of the particles smaller than the diameter known (n,) m. Both
-    ascending, n >= 2. The logarithm of the diameter is linear in the quantile of the normal distribution between these points and
-    beyond them: log-normal."""
+    """A size distribution. known (n,): diameters, m; share (n,): mass fraction of the particles smaller than each diameter, above 0 and
+    below 1. Both ascend, n >= 2. The logarithm of the diameter is linear in the quantile of the normal distribution (log-normal)
+    between these points and beyond them."""
 
     share: tuple[float, ...]
     known: tuple[float, ...]
 
     @classmethod
     def of_diameters(cls, *known: float) -> "Sizes":
-        """The distribution with the diameters D10, D50 and D90 by mass (m), or between two sieve sizes (m), with the mass fraction
-        SIEVED below and above them."""
+        """The distribution with the diameters D10, D50 and D90 by mass (m), or between two sieve sizes (m). The mass fraction SIEVED
+        lies below the smaller sieve size, and the same fraction above the larger one."""
         return cls((SIEVED, 1.0 - SIEVED) if len(known) == 2 else (0.1, 0.5, 0.9), known)
 
     @classmethod

@@ -22,8 +22,8 @@ class Spot:
 
     @classmethod
     def of_points(cls, radius: Array, flow: Array) -> "Spot":
-        """The spot with given mass flow densities, in any unit, at ascending radii (m), linear between them. Raises ValueError for
-        points that are not a spot."""
+        """The spot with given mass flow densities, in any unit, at ascending radii (m), linear between them. Raises ValueError if the
+        radii do not ascend, a value is negative, or all densities are zero."""
         ascend = len(radius) > 1 and radius[0] >= 0.0 and bool((np.diff(radius) > 0.0).all())
         if not (ascend and flow.min() >= 0.0 and 0.0 < flow.max() < math.inf):
             raise ValueError(
@@ -39,15 +39,15 @@ class Spot:
         return float(self.radius[-1])
 
     def across(self, x: ArrayLike) -> Array:
-        """Mass of a pass per unit of width at distances x (k,) m from its line, divided by the mass of the pass, 1/m. It is the sum
-        over rings of flow times the length of the line in the ring."""
+        """Mass of a pass per unit of width at distances x (k,) m from the line of the gun, divided by the mass of the pass, 1/m. It is
+        the sum over rings of their flow times the length, within the ring, of a parallel to this line at the distance x."""
         chords = 2.0 * np.sqrt(np.maximum(self.radius**2 - np.asarray(x, np.float64)[..., None] ** 2, 0.0))
         return np.asarray(np.diff(chords) @ self.flow, np.float64)
 
     @cached_property
     def table(self) -> tuple[Array, Array, Array]:
-        """Distances (k,) m from the line of a pass, `across` at these distances, and the share (0 to 1) of the mass on the left of
-        each."""
+        """Distances (k,) m from the line of a pass, ascending from -reach to reach; `across` at each distance; and the share, 0 to 1,
+        of the mass at smaller distances."""
         s = np.linspace(-self.reach, self.reach, _FINE)
         density = self.across(s)
         left = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])

@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gun:
-    """A gun with its powder. angle: angle of the beam to the z axis, rad; area: cross-section (m2) of all powder of one pass at the
-    density of the metal, which is the feed rate divided by density and speed. efficiency (n,): deposition efficiency, 0 to 1, at the
-    ascending angles of impact `angles` (n,) rad from the surface normal."""
+    """A gun with its powder. angle: angle of the beam to the z axis, rad; area: cross-section (m2) of all powder of one pass, without
+    pores: the feed rate divided by the density of the metal and the speed of the gun. efficiency (n,): deposition efficiency, 0 to 1,
+    at the ascending angles of impact `angles` (n,) rad from the surface normal."""
 
     spot: Spot
     angle: float
@@ -48,8 +48,8 @@ class Gun:
 
     @cached_property
     def _speed(self) -> tuple[Array, Array]:
-        """Slopes of a surface, as angles (rad), and at each the derivative |d(rate)/d(h')| of the growth rate (cos a + h' sin a)
-        E."""
+        """Slope angles b (rad) of a surface, and the derivative |dr/dh'| of the growth rate r = (cos a + h' sin a) E at each angle. a:
+        angle of the gun; h' = tan b; E: deposition efficiency."""
         b = np.linspace(-_STEEPEST, _STEEPEST, 1799)
         rate = np.maximum(np.cos(b - self.angle), 0.0) / np.cos(b) * self.efficiency_at(b)
         return 0.5 * (b[1:] + b[:-1]), np.abs(np.diff(rate) / np.diff(np.tan(b)))

@@ -26,9 +26,9 @@ Row = Mapping[str, Any]  # COLUMNS of a run, SI
 
 
 def compute(scene: Scene, folder: Path, points: Sequence[int], jobs: int, log: Log) -> list[Row]:
-    """Run the scene in OUT/runs with each number of points (of its largest particle). Finished runs are not computed again. Returns a
-    row for each run, the coarsest first. If a run fails, is undecided or needed other numerics, its row has no measures but the
-    reason in `failed`. Raises StoreError for fewer than LEAST_POINTS points."""
+    """Run the scene in folder/runs with each number of points (of its largest particle). Finished runs are not computed again. Returns
+    a row for each run, the coarsest first. If a run fails, is undecided or is retried with other numerics, its row has no measures but
+    the reason in `failed`. Raises StoreError for fewer than LEAST_POINTS points."""
     if (least := min(points)) < LEAST_POINTS:
         raise StoreError(f"--points {least} is too coarse: give at least {LEAST_POINTS} points")
     scenes, failed = dict[str, str](), dict[str, str]()
@@ -55,8 +55,8 @@ def compute(scene: Scene, folder: Path, points: Sequence[int], jobs: int, log: L
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
-    """Text lines: number of points, time, and each measure with its error. There is a column for each row of the table; the failures
-    come last."""
+    """Text lines: a table of number of points, wall time, and each measure with its error, with a column for each run that has
+    measures; then a line for each run without them, with the reason."""
     done = [row for row in rows if not row["failed"]]
     cells = [["points", *(str(row["points"]) for row in done)]]
     cells += [["wall time, s", *(f"{row['wall_s']:.3g}" for row in done)]]
@@ -65,7 +65,7 @@ def lines(rows: Sequence[Row]) -> list[str]:
 
 
 def draw(rows: Sequence[Row], path: Path, heading: str) -> None:
-    """Draw each measure with its error against the wall time of the run, as PNG. The first panel gives the number of points."""
+    """Draw each measure with its error against the wall time of the run, as PNG. Labels in the first panel: numbers of points."""
     figure = blank(12.0, 9.5, dpi=110, layout="constrained")
     for k, (key, panel) in enumerate(zip(CONVERGING, figure.subplots(3, 3).flat, strict=True)):
         factor, known = measure(key).factor, [row for row in rows if row.get(key) is not None]

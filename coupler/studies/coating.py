@@ -169,7 +169,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
 
 
 def disc_radius(splats: Splats) -> float:
-    """Default radius (m) of the measured disc."""
+    """Default radius (m) of the measured disc: DISC times `Splats.patch`, but at least four element sizes of the splats."""
     return max(DISC * splats.patch, 4.0 * splats.element_size)
 
 
@@ -267,8 +267,8 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
 
 def phases(splats: Splats, radius: float) -> list[dict[str, float | str]]:
     """Fractions of each powder: of the fed mass, of the mass in the coating, and of the volume of the coating in a disc of `radius` m.
-    efficiency: its mass in the coating divided by its fed mass. Of a ceramic also the numbers of particles with each of FATES. The last
-    particle, which consists of points, has no volume here."""
+    efficiency: mass of the powder in the coating divided by its fed mass. If particles are embedded or broken (ceramic), the row has
+    the number of particles with each verdict of FATES. The last particle, which consists of points, is not part of the volume."""
     stays, of_body = splats.mass * splats.stayed, _volumes(splats, radius)
     volume = np.bincount(splats.impact, of_body, len(splats.mass) + 1)[1:]
     rows = list[dict[str, float | str]]()
@@ -301,7 +301,7 @@ def materials(splats: Splats, radius: float) -> list[dict[str, float | str]]:
 
 
 def _volumes(splats: Splats, radius: float) -> NDArray:
-    """Volume (m3) of each body of the coating within `radius` m of the axis, 0 of the substrate."""
+    """Volume (m3) of each body of the coating within `radius` m of the axis; 0 for the substrate."""
     mesh = splats.mesh
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
     own = (np.hypot(x, y) <= radius) & (splats.impact[splats.body] > 0)
@@ -379,7 +379,7 @@ def growth(result: Result, radius: float | None = None) -> list[Growth]:
 
 
 def latest(result: Result) -> Growth:
-    """The row after the impacts that are finished so far. Raises StoreError if no impact is finished."""
+    """The row of the growth table at the start of the latest impact. Raises StoreError if no impact is finished before it."""
     built = read(result, int(result.history("impact").max(initial=0.0)))
     return growth_row(built, disc_radius(built))
 

@@ -76,7 +76,7 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
 
 
 def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
-    """(impact, points, triangles) of the surface of each body, the substrate and its layers first."""
+    """(impact, points, triangles) of the surface of each body: layers of the substrate (impact 0), splats, last particle of points."""
     cells = [splats.mesh.cells[splats.body == b] for b in range(len(splats.impact))]
     skins = [(int(n), splats.mesh.points, boundary_faces(own)[0]) for n, own in zip(splats.impact, cells, strict=True)]
     return [*skins, *([(len(splats.mass), *splats.last)] if splats.last is not None else [])]
@@ -170,7 +170,7 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
 
 
 def draw_growth(rows: list[Growth], path: Path) -> None:
-    """Draw thickness with its range, roughness and porosity against the number of impacts, as PNG."""
+    """Draw thickness (mean, smallest, largest), roughness Sa and porosity (open, closed) against the number of impacts, as PNG."""
     impacts = [each["impacts"] for each in rows]
     um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
     share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}

@@ -50,9 +50,9 @@ Row = Mapping[str, Any]  # COLUMNS of a run
 
 @dataclass(frozen=True)
 class Bracket:
-    """The velocities (m/s) between which the critical velocity lies. low: the highest velocity at which the particle rebounds; high:
-    the lowest velocity above `low` at which it sticks; None if no run shows it. undecided: velocities between them without a verdict.
-    shares: for each velocity, the fraction of the placements that stick; empty for a single placement."""
+    """The velocities (m/s) between which the critical velocity lies. high: the lowest velocity at which the particle sticks, above a
+    rebound if there is one; low: the highest velocity, below `high`, at which it rebounds. An end that no run shows is None. undecided:
+    undecided velocities between low and high. shares: velocity -> fraction of the placements that stick; empty for one placement."""
 
     low: float | None
     high: float | None
@@ -127,8 +127,8 @@ def next_velocity(
     """The velocity (m/s) for the next run, rounded to 1 m/s; None if the bracket is narrow enough or a limit is reached.
 
     verdicts: velocity -> verdict; start: the first velocity, m/s; limits: limits of the search, m/s; tolerance: width of the bracket
-    divided by its middle. Undecided velocities divide the bracket; its widest part is halved. A particle that rebounds up to the
-    upper limit may stick at velocities below the first one.
+    divided by its middle. Undecided velocities divide the bracket; its widest part is halved. If the particle rebounds up to the
+    upper limit, the search continues below the first velocity.
     """
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))

@@ -40,8 +40,8 @@ class Spread:
 
 
 def varied_numbers(rows: Sequence[Row], varied: Sequence[str]) -> tuple[str, ...]:
-    """The numbers of the scenes that belong to varied keys and differ between rows. For example "particle.offset[1]" belongs to the
-    key "particle.offset"."""
+    """Keys of the numbers that differ between rows and belong to one of the keys `varied`: "particle.offset[1]" belongs to
+    "particle.offset"."""
     keys = {key: None for row in rows for key in row["keys"] if key in varied or key.partition("[")[0] in varied}
     return tuple(key for key in keys if len({row["keys"].get(key) for row in rows if row["keys"]}) > 1)
 

@@ -96,8 +96,8 @@ def compute(job: Job, text: str, out: Path, time_of: Callable[[Scene], float], j
 
 
 def page(job: Job, text: str, out: Path, known: dict[str, Any], found: Found, coating: Coating) -> str:
-    """The HTML page of a job. Its first sheet has the answer, the numbers, the deposition window and a cross-section of the
-    coating."""
+    """The HTML page of a job, with answer, table of numbers, deposition window and cross-section of the coating on its first sheet.
+    Writes micrograph.png into `out`. text: text of the job's file; known: contents of job.json."""
     lines, sheet = numbers(job, found, coating), Page()
     pictures = [(embedded(deposition_window(job, found)), "The powder and its deposition window on this metal")]
     if coating.measures:
@@ -179,8 +179,8 @@ def _assumed(job: Job) -> list[str]:
 
 
 def deposition_window(job: Job, found: Found) -> Figure:
-    """Figure of velocity against diameter, with an axis for each metal powder: this powder and the ceramics at impact, and its critical
-    velocities from the formula and from computed bonds."""
+    """Figure with a panel for each metal powder. Curves against the diameter: impact velocity of this powder and of each ceramic;
+    critical velocities of this powder from the formula and from computed bonds."""
     metals = {name: powder for name, powder in job.powders.items() if not powder.metal.is_ceramic}
     figure = blank(5.6, 3.9 * len(metals), 130, "constrained")
     for axis, (name, powder) in zip(figure.subplots(len(metals), squeeze=False).flat, metals.items(), strict=True):

@@ -156,7 +156,7 @@ def critical_words(found: Bonds | None) -> str:
 
 
 def of_coating(job: Job, shares: Shares, coating: Coating) -> list[Number]:
-    """The table lines about the coating; none if no coating is computed. shares: what stays of each powder."""
+    """The table lines about the coating; none if no coating is computed. shares: mass fraction that stays (`Shares`)."""
     if not coating.measures:
         return []
     name, (folder, first) = job.main.metal.name, next(iter(coating.measures.items()))
@@ -214,7 +214,7 @@ def answer(lines: Sequence[Number]) -> list[str]:
 
 
 def errors_in(bonds: Found, coating: Coating) -> dict[str, str]:
-    """The errors that the ranges of the numbers include: a text for each name."""
+    """The errors that the ranges of the numbers include: name of the error -> text."""
     sets, seeds = dict.fromkeys(name for each in bonds.values() for name in each.sets), len(coating.measures)
     known = (
         ("formula", True, f"by the formula: ± {BAND:.0%} of the critical velocity"),

@@ -53,14 +53,14 @@ class Bonds:
 
 
 def ends(found: Bracket) -> tuple[float, float]:
-    """Smallest and largest critical velocity (m/s) of a bracket. If the particle rebounds at all velocities, the largest is infinite.
-    If it sticks at all, both are the velocity of the slowest run. Without any verdict they are 0 and infinite."""
+    """Smallest and largest critical velocity (m/s) of a bracket. If the particle rebounds at every velocity, the largest is infinite.
+    If it sticks at every velocity, both are the slowest at which it sticks. Without any verdict they are 0 and infinite."""
     return found.low or found.high or 0.0, math.inf if found.high is None else found.high
 
 
 @dataclass(frozen=True)
 class Coating:
-    """Coatings of several seeds. measures: measures of each coating by its folder; failed: reason for each point without a coating;
+    """Coatings of several seeds. measures: measures of each coating by its folder; failed: name of a run without measures -> reason;
     properties: `coupler.properties.measure.Properties` of each coating by its folder."""
 
     measures: Mapping[str, CoatingMeasures]

@@ -41,8 +41,8 @@ def draw(rows: Sequence[Row], out: Path, quantities: Sequence[str], axes: Sequen
 
     Two or three axes with enough points (`maps.sparse`): a surface and its band inside the convex hull of the points, with a row of
     panels for each value of the third axis. One axis: a curve, divided where the verdict changes. Else: points and straight lines.
-    axes: as in `runs_table.add_axes`; by default those of AXES that vary. Returns text lines: file and errors of each interpolation,
-    its limits, and the next point to compute.
+    axes: as in `runs_table.add_axes`; by default those of AXES that vary. Returns text lines for each quantity: file, errors and
+    warnings of the interpolation or the reason why there is none, and the next point to compute.
     """
     remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
@@ -194,8 +194,8 @@ def _plane(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
 
 
 def _surfaces(rows: Sequence[Row], axes: Axes_, quantity: str, fit: Interpolation) -> Figure:
-    """Draw mean and half width of the 95 % band side by side, with a row for each value of the third axis. If it has more than
-    MOST_SLICES values, three are drawn."""
+    """Draw mean and half width of the 95 % band side by side, with a row for each value of the third axis. If this axis has more
+    than MOST_SLICES values, the rows are its three quartiles over the points."""
     factor = MEASURES[quantity].factor
     x_axis, y_axis, *third = axes
     done = maps.with_value(rows, quantity)
@@ -247,7 +247,7 @@ def _ends(low: float, high: float, quantity: str) -> tuple[float, float]:
 
 
 def _levels(fields: Sequence[NDArray], quantity: str, band: bool) -> NDArray:
-    """Round levels over the range of several fields."""
+    """Contour levels at round numbers over the range of several fields (`_ends`), with `band` from 0."""
     low, high = min(float(np.nanmin(f)) for f in fields), max(float(np.nanmax(f)) for f in fields)
     low, high = (0.0, high) if band else _ends(low, high, quantity)
     if high - low < 1e-12 * max(abs(high), 1e-12):

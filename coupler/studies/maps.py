@@ -328,6 +328,6 @@ def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
 
 
 def _unit(logs: NDArray) -> NDArray:
-    """Points (n,d), each axis scaled to 0..1. logs: the points with logarithms."""
+    """Points (n,d), each axis scaled to 0..1. logs (n,d): points, with logarithms of the values on the axes LOGARITHMIC."""
     low, high = logs.min(axis=0), logs.max(axis=0)
     return (logs - low) / np.where(high > low, high - low, 1.0)

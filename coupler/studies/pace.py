@@ -93,7 +93,7 @@ def kept() -> Path:
 
 
 def measure(run: Callable[..., Result]) -> float:
-    """Measure the factor of this machine with a small impact; it is limited to LEAST and MOST. run: `deposition.run.run`. Raises
+    """Measure the factor of this machine with a small impact. The factor is limited to LEAST..MOST. run: `deposition.run.run`. Raises
     SolverError."""
     return min(max(min(_timed(run) for _ in range(REPEATS)), LEAST), MOST)
 

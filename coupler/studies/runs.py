@@ -143,9 +143,9 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def compute(scene: Path, threads: int = 1) -> dict[str, object]:
-    """Run the file of a scene in the folder of the same name, or continue the run there. Writes to the .json file of the same name,
-    and returns, the status: {"status": "done", "undecided" or "failed", "reason": message, "exit_code": int}. Raises
-    InterruptedRunError, without a status, if the run is stopped from outside; the next call then continues the run."""
+    """Run the file of a scene in the folder of the same name, or continue the run there. Returns its status, and writes this to the
+    .json file of the same name: {"status": "done", "undecided" or "failed", "reason": message, "exit_code": int}. If the run is stopped
+    from outside, raises InterruptedRunError and writes no status; the next call then continues the run."""
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     # a run may outlive its study for some time, if that was killed

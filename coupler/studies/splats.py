@@ -26,9 +26,9 @@ class Splats:
     which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as (points (k,3)
     m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
     kg: mass of each particle; parts (n): materials of each particle, that of the shell first, with their mass fractions; planned:
-    impacts of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size (m): element
-    size of the splats; undecided: indices of impacts without a verdict, which count as stayed; verdicts: verdicts of the finished
-    impacts, empty while the run continues; cores: name of the material of each body that is the core of a particle, by its index.
+    number of impacts of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size
+    (m): element size of the splats; undecided: indices of impacts without a verdict, which count as stayed; verdicts: verdicts of the
+    finished impacts, empty while the run continues; cores: index of each body that is the core of a particle -> name of its material.
     ground: heights (k,) m of the bare surface at points (k,2) m.
     """
 
@@ -56,7 +56,7 @@ class Splats:
 
     @property
     def materials(self) -> list[str]:
-        """Names of the materials of all particles, in the order of the impacts."""
+        """Name of each material of the particles, once, in the order of the first impacts."""
         return list(dict.fromkeys(name for part in self.parts for name in part))
 
     def material(self, body: int, impact: int) -> str:
@@ -79,8 +79,8 @@ class Columns:
     """Vertical columns of cells over a disc: radius m, `step` m apart; cells are `step` m high and begin at z = low.
 
     A cell is inside a body if its middle is; this follows from the points at which the column crosses the closed surfaces of the
-    bodies. Masks (k, layers): splat, substrate: cells inside a splat or the substrate; matter: inside one of them; double: inside a
-    splat and another body. x, y (k,): positions of the columns, m.
+    bodies. Masks (k, layers) of k columns of `layers` cells, the lowest first: splat, substrate: cells inside a splat or the substrate;
+    matter: inside one of them; double: inside a splat and another body. x, y (k,): positions of the columns, m.
     """
 
     def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
@@ -139,8 +139,8 @@ class Columns:
         return np.where(cells.any(axis=1), self.low + last * self.step, self.low)
 
     def voids(self, thinnest: float) -> tuple[NDArray, NDArray]:
-        """Masks (k, layers) of empty cells below the top of their column: (open, closed). Closed: not connected to the outside through
-        empty cells. Voids with a height below `thinnest` m count as matter."""
+        """Masks (k, layers) of empty cells below the highest cell of matter in their column: (open, closed). Closed: no path of empty
+        cells leads to the space above the highest matter of a column. Voids with a height below `thinnest` m count as matter."""
         span = max(round(thinnest / self.step), 0)
         whole = np.zeros((self._side, self._side, self.layers), bool)
         whole[self.inside] = self.matter

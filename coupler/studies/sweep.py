@@ -151,7 +151,7 @@ def _base(scene: object, source: str, problems: list[str]) -> Table:
 
 
 def _ratios(target: object, problems: list[str]) -> dict[str, float]:
-    """Diameter and height of the target, over the diameter of the particle: SUBSTRATE, changed by the values of `target`."""
+    """Diameter and height of the target over the diameter of the particle, from `target` or else SUBSTRATE. Adds to `problems`."""
     ratios = dict(SUBSTRATE)
     for key, value in target.items() if isinstance(target, Mapping) else [("", None)]:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -164,7 +164,7 @@ def _ratios(target: object, problems: list[str]) -> dict[str, float]:
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """A list of (key with dots, value) for each value in nested tables. A distribution counts as one value."""
+    """Yield (key with dots, value) for each value in nested tables. A distribution counts as one value. above: prefix of the keys."""
     for key, value in table.items():
         name = above + key if above else SHORT.get(key, key)
         inner = value if isinstance(value, Mapping) else {}
@@ -229,7 +229,7 @@ def _ensemble(table: object, source: str) -> list[Settings]:
 
 
 def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
-    """The scene of a point: the base with its settings, and a size of the target if it has none. Raises ValueError (unknown key)."""
+    """The scene of a point: base with its settings; `ratios` give a missing size of the target. Raises ValueError (unknown key)."""
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)

@@ -58,9 +58,9 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
 
 
 def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
-    """Angles of impact (n,) rad and the deposition efficiency (n,) at each, by volume in a blend. By the formula it is the share that
-    sticks on its own metal if the velocity normal to the surface has to reach the critical velocity: Li et al. (2003), Thermal Spray
-    2003, ASM, 91. Raises ValueError; the message begins with the name of the field."""
+    """Angles of impact (n,) rad and deposition efficiency (n,) at each, from the table or runs `path.efficiency`. Default: the formula,
+    the share of a powder that sticks on a coating of its metal if the normal velocity reaches the critical one (mean by volume): Li et
+    al. (2003), Thermal Spray 2003, ASM, 91. Raises ValueError; the message begins with the name of the field."""
     if path.efficiency is None:
         angle = np.arange(90.0)
         volume = [powder.table.share / powder.flying.rho for powder in job.powders.values()]

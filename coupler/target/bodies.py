@@ -103,8 +103,8 @@ class Bodies:
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
     def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
-        """Find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach in `time` s, and do
-        `release_heat`. by_speed: a slow surface counts with a part of `travel`."""
+        """Call `release_heat`. Then find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach
+        in `time` s. by_speed: a surface slower than the fastest node moves less than `travel`."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.nodes.v if by_speed else None
@@ -181,10 +181,10 @@ class Bodies:
 
         - A node lies in the body to which it is bonded, but the compression of its bond is less than half of its depth: the surface has
           folded at the bond's triangle. The bond moves to the facet through which the node has entered.
-        - The contact presses a node out of a body, and nodes of this body are bonded to the triangles around it. These bonds could hold
-          the body there with more than the theoretical strength of the metal: they start again without force.
-        - A bond of small area, as of a node between crushed facets, is too soft for its node. Its stiffness is increased: the present
-          force then compresses it by FOLDED spacings. The limit is the median stiffness of all bonds.
+        - A node lies deeper than PRESSED spacings in a body that has nodes bonded to the triangles around this node. These bonds could
+          hold the body there with more than the theoretical strength of the metal: they start again without force.
+        - A bond of small area, as of a node between crushed facets, is too soft to keep its node out. The stiffness of the bond is
+          increased, at most to the median of all bonds: its present force would then compress it by FOLDED spacings.
         """
         if self.contact is None:
             return
@@ -214,7 +214,7 @@ class Bodies:
         self.contact.ignore_depth(depth)
 
     def reduce_overlap(self, share: float) -> None:
-        """Multiply the depths without force in the contact, and the negative gaps of bonds that `separate` has moved, by `share`."""
+        """Multiply by `share` the depths that give no contact force, and the negative gaps of bonds that `separate` has moved."""
         for each in (self.contact, self.bond):
             if each is not None:
                 each.reduce_overlap(share)

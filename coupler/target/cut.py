@@ -184,7 +184,7 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
 
 
 def _replace(record: R, part: R, ids: np.ndarray, index: np.ndarray) -> None:
-    """Overwrite the rows `ids` of a record with rows of `part`. index: row in the record of each row of the part, -1 for none."""
+    """Overwrite the rows `ids` of a record with rows of `part`. index: for each row of the part, its row in the record, -1 for none."""
     row = np.full(int(index.max()) + 1, -1)
     kept = np.flatnonzero(index >= 0)
     row[index[kept]] = kept

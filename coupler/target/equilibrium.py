@@ -37,7 +37,8 @@ RELEASE_TIME = 5e-9  # s after joining in which the released kinetic energy is m
 
 class Aim(NamedTuple):
     """Required accuracy of an equilibrium. left: largest remaining energy divided by the kinetic energy of the impacts before; ramp:
-    steps in which pending heat raises the pressure, as in slow cooling; quick: steps before the damping is limited to SLOW_DAMPING."""
+    number of steps over which pending heat (`ElementState.heat`) raises the pressure, as in slow cooling; quick: number of steps after
+    which the damping is limited to SLOW_DAMPING."""
 
     left: float
     ramp: int
@@ -72,8 +73,8 @@ def settle(
     """Bring all bodies to rest in equilibrium. All elements are active during it; those beyond the wave front are inactive after it.
 
     kinetic_0 (J): kinetic energy of the impacts before, the scale of the remaining energy. release_time (s): duration of the real
-    motion after the equilibrium, in which the released energy is measured. radius (m): nodes whose reach (`TetMesh`) is larger do
-    not move, but pending heat raises the pressure there too; if more than LOCAL of the elements lie within it, all nodes move.
+    motion after the equilibrium, in which the released energy is measured. radius (m): only nodes whose reach (`TetMesh`) is
+    smaller move, but pending heat (`Aim`) raises the pressure of all; if more than LOCAL of the elements lie within it, all move.
     known: results of an earlier equilibrium of these bodies, updated for the next one. back: fixed nodes (k,), and displacements
     (k,3) m by which they are moved. The simulated time does not advance, and no heat is conducted. Returns the number of steps and
     energies. Raises SolverError if a tetrahedron inverts, or if the bodies then have more kinetic energy than the impacts before.
@@ -159,10 +160,10 @@ def _ramp(passed: float) -> float:
 
 
 def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) -> None:
-    """Give the nodes masses with which elements and all springs between bodies are stable with the same step.
+    """Give the nodes masses with which elements and all springs between bodies are stable with the same time step.
 
-    The masses for elements follow from their safe bound and RELAX_STEP. The step is then the true limit of the mesh with these
-    masses, which is longer (`fe.stability`). The masses for springs, whose bound is sharp, follow from this step.
+    First the masses for the elements are set: with them the safe bound of the step is RELAX_STEP. The step itself is the true limit
+    of the mesh with these masses, which is longer (`fe.stability`). The masses for the springs are set for this step and added.
     """
     relaxation.weigh(highest, RELAX_STEP)
     n, share_of = len(bodies.target.nodes.x), 0.25 * relaxation.dt * relaxation.dt
@@ -176,9 +177,9 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
 def _moving(
     relaxation: Relaxation, n: int, along: np.ndarray, momentum: np.ndarray, before: np.ndarray
 ) -> tuple[float, float, float]:
-    """Kinetic energy (J) of the first n nodes with the masses of the relaxation, squared frequency (1/s2) of the present motion,
-    and f M^-1 f / 2 (N m/s2) of the unbalanced forces f, an energy if divided by omega^2. along (n,3) m/s2: part of M^-1 f by the
-    grid; before (n,3) N: forces one step ago, updated to the present ones."""
+    """Kinetic energy (J) of the first n nodes with the masses of the relaxation, squared frequency (1/s2) of the present motion, and
+    f M^-1 f / 2 (N m/s2) of the unbalanced forces f: an energy if divided by the squared frequency. along (n,3) m/s2: part of M^-1 f
+    from the coarse grid; momentum (n,3) kg m/s; before (n,3) N: forces one step ago, updated to the present ones."""
     t, sums = relaxation.target, np.zeros((PARTS, 3))
     free, mass = relaxation.free, relaxation.mass[:n]
     together(motion.moving, free[:n], mass, t.nodes.total[:n], along, momentum, t.nodes.v[:n], before, sums)

@@ -13,7 +13,7 @@ from .domain import Point
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> float:
-    """Vertical displacement (m) after which the surface of a body just touches the facets below; -inf if there are no facets below.
+    """Upward displacement (m) after which the surface of a body just touches the facets below; -inf if there are no facets below.
 
     vertices (k,3) m: vertices of the body's surface; x (n,3) m, facets (f,3): nodes and facets of the surfaces below.
     """
@@ -47,7 +47,7 @@ def near(bodies: Bodies, points: Sequence[Point], radius: float) -> list[int]:
 
 def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
     """Nodes (k,) of a target that were at the elastic edge of the window, and the displacements (k,3) m that move them back to their
-    rest positions, because elements beyond the edge have not moved."""
+    rest positions, because elements beyond the edge have not moved. None if there is no such edge."""
     if before.edge is None:
         return None
     index, row = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
@@ -58,7 +58,7 @@ def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarr
 
 
 def means_of(bodies: Bodies, body: int) -> dict[str, float]:
-    """Volume averages of von Mises stress, pressure, plastic strain and temperature over the elements of a body."""
+    """Volume averages of von Mises stress (Pa), pressure (Pa), plastic strain and temperature (K) over the elements of a body."""
     t = bodies.target
     own = bodies.body == body
     weight = t.elements.volume[own]
