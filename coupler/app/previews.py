@@ -51,7 +51,7 @@ class Now:
 
 def preview(text: str, path: Path, verb: str, here: pace.Pace) -> Preview:
     """The preview of a scene or a job. text: its TOML text; path: file in which it would be saved; verb: "run" for a scene, "job" for a
-    job, "" for a job whose parts and time are left out. Problems of the input are part of the result."""
+    job, "" for a job if its parts and time limit are not shown. Problems of the input are part of the result."""
     try:
         if verb == "run":
             planned = plan(Scene.from_text(text, str(path)))

@@ -174,7 +174,8 @@ def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
 
 
 def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
-    """Values of a field in SI units; None if `unit` is neither SI, nor empty ("", "-", "1"), nor, for T, a temperature unit."""
+    """Values of a field in SI units. Accepted units: the SI unit of the field; "", "-" and "1", which stand for it; for T, all
+    temperature units. For any other unit: None."""
     if unit in ("", "-", "1", _SI.get(field, "")):
         return values
     try:

@@ -104,7 +104,9 @@ class Contact(ContactState):
     @property
     def penalty_energy(self) -> float:
         """Energy of the penalty and friction springs, J."""
-        return k.energy(self.points, self.history)
+        sums = np.zeros(PARTS)
+        together(k.energy, self.points, self.history, sums)
+        return float(sums.sum())
 
     @property
     def normal_force(self) -> Floats:
@@ -187,8 +189,8 @@ class Contact(ContactState):
         return far
 
     def _find(self, bodies: Ints, travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats) -> None:
-        """Find the candidate faces of all points of `bodies`. They stay valid until the points of body b have moved travel[b] m
-        relative to the faces."""
+        """Find the candidate faces of all points of `bodies`, and update `rows`. Both stay valid until the points of body b have moved
+        travel[b] m relative to the faces. always, active, x: see `search`."""
         p, proj, history, faces = self.points, self._projections, self.history, self.faces
         chosen = np.zeros(len(self.spacing), bool)
         chosen[bodies] = True
@@ -252,8 +254,9 @@ class Contact(ContactState):
         self._candidates = Candidates(start, face)
 
     def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
-        """Split the points `rows`: points that move or have a candidate that moves, and the others. The search of the others stays
-        valid until their node, or a node of their candidates, becomes active."""
+        """Divide the points `rows` into those with an active node and the others. The nodes of a point are its own node (-1, none,
+        counts as active) and the nodes of its candidate faces; the first `active` nodes of the domain are active. The search of the
+        others stays valid until one of their nodes becomes active."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
         np.minimum.at(self._searches.active, self.points.owner[rows[still]], least[still])

@@ -373,14 +373,12 @@ def contact_forces(
 
 
 @njit(cache=True, nogil=True)
-def energy(points: Points, history: Histories) -> float:
-    """Energy of all normal and friction springs, J."""
-    total = 0.0
-    for i in range(len(history)):
-        h, k = history[i], points.stiffness[i]
-        total += stored(k, h.depth[0], _squared(h))
-        total += stored(k, h.depth[1], 0.0)
-    return total
+def energy(team: Ints, points: Points, history: Histories, sums: Floats) -> None:
+    """Write the energy of the normal and friction springs in each part of the points to sums (PARTS,) J, in all threads."""
+    for lo, hi, part in ranges(team, 0, len(history), LEAST_SEARCHED):
+        for i in range(lo, hi):
+            h, k = history[i], points.stiffness[i]
+            sums[part] += stored(k, h.depth[0], _squared(h)) + stored(k, h.depth[1], 0.0)
 
 
 @njit(cache=True, nogil=True)

@@ -78,8 +78,8 @@ class Searches(NamedTuple):
 
 @uncounted
 def own_travel(body: int, travel: float, part: Floats, points: Points, s: Searches) -> float:
-    """Largest displacement (m) of a body relative to the faces near it. part (N,): speed of each node divided by the largest speed; the
-    fastest node moves travel / 2, m."""
+    """Upper bound (m) on the displacement of a body relative to the faces near it. travel: this bound for any two surfaces, m;
+    part (N,): speed of each node divided by that of the fastest node."""
     own = near = 0.0
     for i in range(s.bounds[body], s.bounds[body + 1]):
         own = max(own, part[points.node[i]])

@@ -21,10 +21,11 @@ UPWARDS = 0.25  # smallest z component of the unit normal of a facet at the top:
 class TetMesh:
     """Mesh of the explicit solver, numbered outwards from the point of impact.
 
-    points (n,3) m; conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) m3: reference volumes;
-    node_volume (n,) m3: lumped volumes; facets (k,3): boundary triangles, normals outwards; facet_element (k,): element behind
-    each; sets: indices of facets by name; reach_node (n,), reach_element (m,) m: distance from the point of impact, ascending; if
-    numbered in shells (`target.domain.merge`), that of the inner face of the shell; axis (2,) m: x and y of the half-space's axis.
+    points (n,3) m; conn (m,4): corners; B (m,3,3) 1/m: reference gradients of the shape functions of corners 1 to 3; V0 (m,) m3:
+    reference volumes; node_volume (n,) m3: lumped volumes; facets (k,3): boundary triangles, normals outwards; facet_element (k,):
+    element behind each; sets: indices of facets by name; reach_node (n,), reach_element (m,) m: distance from the point of impact,
+    ascending; if numbered in shells (`target.domain.merge`), that of the inner face of the shell; axis (2,) m: x and y of the
+    half-space's axis.
     """
 
     points: Annotated[np.ndarray, Shape(-1, 3)]

@@ -102,8 +102,8 @@ def _square(lo: int, hi: int, w: Floats, square: Floats) -> None:
 def _resist(
     team: Ints, n: int, m: int, scale: float, inverse: Floats, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response
 ) -> None:  # fmt: skip
-    """Multiply the motion by `scale`, by zero at nodes whose inverse mass (n,) is zero. Then compute its squares and the response,
-    for the first n nodes and m elements, in all threads."""
+    """Multiply the motion r.w by `scale`, or by zero at nodes whose inverse mass (n,) is zero. Then compute r.square and the linear
+    response to r.w. Only for the first n nodes and m elements; in all threads."""
     for lo, hi, _ in ranges(team, 0, n, LEAST_NODES):
         for a in range(lo, hi):
             factor = scale if inverse[a] > 0.0 else 0.0

@@ -118,7 +118,7 @@ class CompiledParticle(Particle):
         return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
-        """List the rows of points and of sides that each rank receives and sends between the two passes."""
+        """List the rows of points and of sides (`Sides`) that this rank exchanges with each other rank between passes 1 and 2."""
         self._sends, self._receives = _by_rank([]), _by_rank([])
         self._side_sends, self._side_receives = _by_rank([]), _by_rank([])
         if self.comm.size == 1:

@@ -27,9 +27,10 @@ class Scheme(NamedTuple):
 class Sides(NamedTuple):
     """Neighbours of the points. Point i has the rows first[i] to first[i + 1] - 1 of the arrays (sides,); first (n+1,).
 
-    neighbour: index of the neighbour; reverse: row of the other side of the pair in side_force; w (1/m5): W'/r; gradient (sides,3)
-    1/m: g. From the mean properties of the two points: slope (kg/m): factor W' m^2 / rho of MACHDYN's forces; c (m/s): longitudinal
-    wave speed.
+    neighbour: index of the neighbour; reverse: row of the other side of the pair in side_force; w (1/m5): W'/r, with the derivative W'
+    of the kernel at the reference distance r; gradient (sides,3) 1/m: weights g_ij, where the sum over j of (u_j - u_i) (x) g_ij is the
+    gradient of a field u. From the mean properties of the two points: slope (kg/m): factor W' m^2 / rho of MACHDYN's forces; c (m/s):
+    longitudinal wave speed.
     """
 
     first: Ints

@@ -74,7 +74,7 @@ class Form:
         return self._extent(-math.sin(tilt), 0.0, math.cos(tilt))
 
     def width(self, tilt: float = 0.0) -> float:
-        """The larger of the extents along x and y, m, if the shape is rotated by a tilt (rad)."""
+        """The larger of the extents along x and y, m, if the shape is rotated about y by a tilt (rad)."""
         return max(self._extent(math.cos(tilt), 0.0, math.sin(tilt)), self._extent(0.0, 1.0, 0.0))
 
     def _extent(self, nx: float, ny: float, nz: float) -> float:

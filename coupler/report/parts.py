@@ -95,7 +95,7 @@ def measures(summary: Summary) -> str:
 
 
 def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) -> str:
-    """Groups of measures (`words.table_lines`) with one column for each heading."""
+    """Table of groups of measures (`words.table_lines`), with one column for each heading; "" if there are no groups."""
     rows: list[list[str]] = []
     heads = []  # rows with the name of a group, in grey
     for group, lines in groups.items():

@@ -156,7 +156,7 @@ def critical_words(found: Bonds | None) -> str:
 
 
 def of_coating(job: Job, shares: Shares, coating: Coating) -> list[Number]:
-    """The table lines about the coating; none if no coating is computed. shares: mass fraction that stays (`Shares`)."""
+    """The table lines about the coating; none if no coating is computed. shares: deposited mass fraction of each powder (`Shares`)."""
     if not coating.measures:
         return []
     name, (folder, first) = job.main.metal.name, next(iter(coating.measures.items()))
