@@ -10,8 +10,9 @@ from .state import ElementState, NodeState
 
 
 class Cells(NamedTuple):
-    """conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) and V0_node (n,) m3: reference volumes; start
-    (n+1,), table (4m,): table[start[a]:start[a + 1]] is 4 e + c for each element e around node a, which is its corner c (0 to 3)."""
+    """conn (m,4): corners; B (m,3,3) 1/m: reference gradients of their shape functions 1 to 3; V0 (m,), V0_node (n,) m3: reference
+    volumes; start (n+1,), table (4m,): table[start[a]:start[a + 1]] is 4 e + c for each element e around node a; a is its corner c (0
+    to 3)."""
 
     conn: Ints
     B: Floats

@@ -70,7 +70,7 @@ class Form:
         return math.sqrt((a * nx) ** 2 + (b * ny) ** 2 + (c * nz) ** 2)
 
     def height(self, tilt: float = 0.0) -> float:
-        """Extent along z, m, if the shape is rotated by a tilt (rad)."""
+        """Extent along z, m, if the shape is rotated about y by a tilt (rad)."""
         return self._extent(-math.sin(tilt), 0.0, math.cos(tilt))
 
     def width(self, tilt: float = 0.0) -> float:
