@@ -41,8 +41,7 @@ class Extreme:
 def _percentile(values: np.ndarray) -> float:
     """99th percentile of the values above zero, 0 if there are none."""
     above = values[values > 0.0]
-    rank = int(0.99 * len(above))
-    return float(np.partition(above, rank)[rank]) if len(above) else 0.0
+    return float(np.percentile(above, 99)) if len(above) else 0.0
 
 
 @dataclass
@@ -56,7 +55,7 @@ class Extremes:
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Include the present values of the particle and of the active part of the target."""
         n, m, p, e = target.active_nodes, target.active_elements, particle.points, target.elements
-        shell = particle.law_of == 0 if particle.law_of.any() else slice(None)  # a mask copies the arrays
+        shell = particle.law_of == 0
         self.particle.note(p.rate[shell], p.T[shell] / particle.law["T_m"][0], p.eps_p[shell], p.J[shell])
         self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
