@@ -22,7 +22,7 @@ from ..physics import motion
 from ..physics.constitutive import sound_speed
 from . import compiled_kernels as k
 from .law import LEAST_POINTS
-from .model import Control, Deformation, Losses, Motion, Scheme, Sides
+from .model import Control, Deformation, Losses, Motion, Scheme, Sides, Step
 from .particle import DISTORTED, UNDEFINED_STRESS, LocalState, Particle, PointState
 from .start import H
 
@@ -100,7 +100,8 @@ class CompiledParticle(Particle):
         self._far = np.flatnonzero(other >= n)
         self._far = self._far[np.lexsort((tag[self._point[self._far]], tag[other[self._far]]))]
         reverse[self._far] = len(side) + np.arange(len(self._far))
-        of_side = first, other.astype(np.uint32), reverse.astype(np.uint32), w[pair]
+        later = first[1:] - np.bincount(self._point, tag[other] > tag[self._point], n).astype(np.uint32)
+        of_side = first, later, other.astype(np.uint32), reverse.astype(np.uint32), w[pair]
         self._sides = Sides(*of_side, gradient, factor[pair], c[pair])
         self._control = Control(r0[pair], W[pair], E[pair])
 
@@ -142,9 +143,9 @@ class CompiledParticle(Particle):
         self._side_receives = _by_rank([len(neighbour) + np.flatnonzero(here == rank) for rank in ranks])
 
     def _update_stress(self) -> None:
-        failed = self._failed
+        failed, step = self._failed, Step(self.dt, self._steps_left == 0)
         try:
-            together(self._passes.stress_of_all, self.n, failed, self._of_stress())
+            together(self._passes.stress_of_all, self.n, failed, self._of_stress(step))
         finally:
             if self.comm.size > 1:
                 self._skip_step()
@@ -152,17 +153,17 @@ class CompiledParticle(Particle):
             point = int(failed[failed >= 0][0])
             reason = DISTORTED if np.isfinite(self.points.J[point]) else UNDEFINED_STRESS
             raise SolverError(self._failure(reason, point))
-        together(self._passes.forces_of_all, self.n, self._of_forces(self._steps_left == 0))
+        together(self._passes.forces_of_all, self.n, self._of_forces(step))
 
-    def _of_stress(self) -> tuple[object, ...]:
+    def _of_stress(self, step: Step) -> tuple[object, ...]:
         """Arguments of `stress_points` (pass 1) after lo and hi."""
         m, d = self._motion, self._deformation
-        return self.dt, self._special, self._scheme, self._sides, m, d, self._state, self._side_force
+        return step.dt, self._special, self._scheme, self._sides, m, d, self._state, self._side_force
 
-    def _of_forces(self, is_last: bool) -> tuple[object, ...]:
-        """Arguments of `point_forces` (pass 2) after lo and hi. is_last: last step of a chunk."""
+    def _of_forces(self, step: Step) -> tuple[object, ...]:
+        """Arguments of `point_forces` (pass 2) after lo and hi."""
         m, d, control = self._motion, self._deformation, self._control
-        return self.dt, is_last, self._scheme, self._sides, control, m, d, self._losses, self._side_force, self.points.f
+        return step, self._scheme, self._sides, control, m, d, self._losses, self._side_force, self.points.f
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As `Particle.run`. At the end the gradient of the plastic strain of these steps is added to `eps_gradient`, if gradients

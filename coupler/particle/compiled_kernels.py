@@ -27,7 +27,7 @@ from ..geometry.matrix_kernels import (
 )  # fmt: skip
 from ..geometry.vector_kernels import add, apart, dot, vector_of
 from ..physics.constitutive import Law, harden, hugoniot_pressure, mie_gruneisen, norm, on
-from .model import Control, Deformation, Losses, Motion, Scheme, Sides, State
+from .model import Control, Deformation, Losses, Motion, Scheme, Sides, State, Step
 
 LEAST_POINTS = 100  # in a range of a loop that threads share
 SWEEPS = 30  # of the iteration for a rotation, at most
@@ -210,40 +210,37 @@ def hourglass(
 
 
 @_inlined
-def exchanged(dt: float, is_last: bool, x: Vector, v: Vector, v_half: Vector) -> tuple[float, float]:
-    """The products x . v_half (m2/s) with x at n and at n+1, for `lost`; x, v, v_half: of j relative to i. In the last step of a chunk
-    x . v is added to the second product, for the half step after it."""
-    now = dot(x, v_half)
-    before = now - dt * dot(v_half, v_half)  # x_j - x_i at n is its value at n+1 less dt v_half
-    return before, now + dot(x, v) if is_last else now
+def exchanged(step: Step, approach: float, now: float, square: float) -> tuple[float, float]:
+    """The products x . v_half (m2/s) with x at n and at n+1, for `lost`. approach, now: x . v and x . v_half at n+1; square: v_half .
+    v_half; x, v, v_half: of j relative to i. In the last step of a chunk x . v is added to the second product, for the half step after
+    it."""
+    before = now - step.dt * square  # x_j - x_i at n is its value at n+1 less dt v_half
+    return before, now + approach if step.is_last else now
 
 
 @_inlined
-def lost(k: int, kind: int, dt: float, strength: float, before: float, now: float, losses: Losses) -> float:
-    """Half (J) of the energy dt (f_n + f_n+1) / 2 . v_n+1/2 that a pair force dissipates in the step, for side k. strength (N/m): force
-    at n+1 over distance, which is stored in row `kind` of losses.strength; before, now: from `exchanged`."""
-    work = 0.25 * dt * (losses.strength[kind, k] * before + strength * now)
-    losses.strength[kind, k] = strength
-    return work
+def lost(dt: float, former: float, strength: float, before: float, now: float) -> float:
+    """Half (J) of the energy dt (f_n + f_n+1) / 2 . v_n+1/2 that a pair force dissipates in the step. former, strength (N/m): force
+    at n and at n+1 over distance; before, now: from `exchanged`."""
+    return 0.25 * dt * (former * before + strength * now)
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def point_forces(
-    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, s: Sides, control: Control, m: Motion, d: Deformation,
+    lo: int, hi: int, step: Step, scheme: Scheme, s: Sides, control: Control, m: Motion, d: Deformation,
     losses: Losses, side_force: Floats, f: Floats,
 ) -> None:  # fmt: skip
     """Pass 2: the forces f (n,3) N on points: side_force_ij - side_force_ji, and along x_j - x_i viscosity and hourglass control.
 
-    The hourglass error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). is_last: last step of a chunk, whose forces also act in the half
-    step after it. Both points of a pair compute the same numbers.
+    The hourglass error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). Both points of a pair compute the same numbers.
     """
     for i in range(lo, hi):
         f0 = f1 = f2 = by_viscosity = by_control = 0.0
         for k in range(s.first[i], s.first[i + 1]):
             j = s.neighbour[k]
-            x, v = apart(m.x, i, j), apart(m.v, i, j)
-            r = sqrt(dot(x, x))
-            viscous, mu = viscosity(scheme, s.slope[k], s.c[k], r, dot(x, v))
+            x, v_half = apart(m.x, i, j), apart(m.v_half, i, j)
+            r, approach = sqrt(dot(x, x)), dot(x, apart(m.v, i, j))
+            viscous, mu = viscosity(scheme, s.slope[k], s.c[k], r, approach)
             X0, X1, X2 = apart(m.X, i, j)
             e = (
                 0.5 * ((d.F[i, 0] + d.F[j, 0]) * X0 + (d.F[i, 1] + d.F[j, 1]) * X1 + (d.F[i, 2] + d.F[j, 2]) * X2)
@@ -258,9 +255,10 @@ def point_forces(
             viscous = viscous * per_length
             r0, WE = control.r0[k], control.W[k] * control.E[k]
             against = hourglass(scheme, s.slope[k], s.c[k], r0, WE, r, x, e, is_plastic, mu) * per_length
-            before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
-            by_viscosity += lost(k, 0, dt, viscous, before, now, losses)
-            by_control += lost(k, 1, dt, against, before, now, losses)
+            before, now = exchanged(step, approach, dot(x, v_half), dot(v_half, v_half))
+            by_viscosity += lost(step.dt, losses.strength[0, k], viscous, before, now)
+            by_control += lost(step.dt, losses.strength[1, k], against, before, now)
+            losses.strength[0, k], losses.strength[1, k] = viscous, against
             own, a = apart(side_force, s.reverse[k], k), viscous + against
             f0, f1, f2 = f0 + own[0] + a * x[0], f1 + own[1] + a * x[1], f2 + own[2] + a * x[2]
         f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2

@@ -32,7 +32,7 @@ from . import frequency as k
 from .blocks import MOST_SIDES
 from .compiled import CompiledParticle, CompiledPoints
 from .inertia import CellInertia
-from .model import Residuals
+from .model import Residuals, Step
 from .particle import LocalState
 
 SECOND_LAYER = 1.65  # spacings: largest distance of a neighbour of a rim point
@@ -71,6 +71,7 @@ class EnrichedParticle(CompiledParticle):
                 f"a point has {counts.max()} neighbours, more than {MOST_SIDES}: use a smaller kernel_radius"
             )
         count, everyone = len(sides.neighbour), len(self._tag)
+        self._side_force = np.zeros((len(self._side_force), 4))
         self._slot = 3 * (np.arange(count) - sides.first[self._point].astype(np.int64))[:, None] + np.arange(3)
         self._residuals = Residuals(np.zeros((count, 3)), self.points.unseen)
         step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
@@ -104,13 +105,12 @@ class EnrichedParticle(CompiledParticle):
             gradient[side] = np.einsum("sij,sj->si", exact[of], fit) / self.spacing
         return gradient
 
-    def _of_stress(self) -> tuple[object, ...]:
-        *others, force = super()._of_stress()
-        return *others, self._residuals, force
+    def _of_stress(self, step: Step) -> tuple[object, ...]:
+        _, *others, force = super()._of_stress(step)
+        return step, *others, self._losses, self._residuals, force
 
-    def _of_forces(self, is_last: bool) -> tuple[object, ...]:
-        losses, force, f = self._losses, self._side_force, self.points.f
-        return self.dt, is_last, self._scheme, self._sides, self._motion, losses, force, f
+    def _of_forces(self, step: Step) -> tuple[object, ...]:
+        return self._sides, self._side_force, self.points.f, self._losses.work[0]
 
     def _skip_step(self) -> None:
         self._swap(self._side_sends, self._side_receives, self._side_force)
@@ -140,7 +140,7 @@ class EnrichedParticle(CompiledParticle):
         estimate for the end of the next chunk.
         """
         n, sides, F, J, mode = self.n, self._sides, self._deformation.F, self.points.J, self.points.mode
-        stiffness, f, small = np.empty(n), np.empty((n, 3)), self._small
+        stiffness, f, unused, small = np.empty(n), np.empty((n, 3)), np.empty(n), self._small
         share(lambda lo, hi: k.stiffness_points(lo, hi, sides, F, stiffness), n, k.LEAST_POINTS)
         largest = max(self.comm.allgather(float(stiffness.max(initial=0.0))))
         u, before = small.u[:n], self._size(mode)
@@ -161,7 +161,7 @@ class EnrichedParticle(CompiledParticle):
             self._swap(self._sends, self._receives, small.u)
             together(k.linear_stress, n, self.law, self.law_of, self._scheme.V, sides, self._motion.X, F, J, small)
             self._swap(self._side_sends, self._side_receives, small.side_force)
-            together(k.linear_forces, n, sides, small.side_force, f)
+            together(enriched_kernels.forces_of_all, n, (sides, small.side_force, f, unused))
             self._inertia.slow(f)
             scale = -1.0 / (self.mass * omega2)
             share(respond, n, k.LEAST_POINTS)

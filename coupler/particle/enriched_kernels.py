@@ -8,7 +8,7 @@ from ..compiling import njit
 from ..core.arrays import Arrays, Floats, Ints, Laws
 from ..core.loops import ranges
 from ..geometry.matrix_kernels import ROUNDING
-from ..geometry.vector_kernels import apart, dot
+from ..geometry.vector_kernels import add, apart, dot
 from .blocks import BLOCK, ROWS, block_of, deform, forces, gather, residuals, scatter, six_of, strain
 from .compiled_kernels import (
     J_MAX,
@@ -21,20 +21,40 @@ from .compiled_kernels import (
     squared,
     viscosity,
 )  # fmt: skip
-from .model import Deformation, Losses, Motion, Residuals, Scheme, Sides, State
+from .model import Deformation, Losses, Motion, Residuals, Scheme, Sides, State, Step
 
 ACROSS = 10.0 / 9.0  # stiffness of a residual divided by G: mean of 1, 1 (two directions across a pair), 4/3 (along it)
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def add_viscosity(
+    lo: int, hi: int, step: Step, scheme: Scheme, s: Sides, m: Motion, losses: Losses, side_force: Floats
+) -> None:
+    """Add the viscous force of each pair to the side of the point with the smaller number, and write half (J) of the energy that it
+    dissipates to the last column."""
+    for i in range(lo, hi):
+        for k in range(s.later[i], s.first[i + 1]):
+            j = s.neighbour[k]
+            x, v_half = apart(m.x, i, j), apart(m.v_half, i, j)
+            r, approach = sqrt(dot(x, x)), dot(x, apart(m.v, i, j))
+            strength, _ = viscosity(scheme, s.slope[k], s.c[k], r, approach)
+            strength *= 1.0 / (r + 0.01 * scheme.h)
+            add(side_force, k, strength * x[0], strength * x[1], strength * x[2])
+            before, now = exchanged(step, approach, dot(x, v_half), dot(v_half, v_half))
+            side_force[k, 3] = lost(step.dt, losses.strength[0, k], strength, before, now)
+            losses.strength[0, k] = strength
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo: int, hi: int, dt: float, laws: Laws, scheme: Scheme, s: Sides, m: Motion, d: Deformation, state: State, r: Residuals,
-    side_force: Floats,
+    lo: int, hi: int, step: Step, laws: Laws, scheme: Scheme, s: Sides, m: Motion, d: Deformation, state: State,
+    losses: Losses, r: Residuals, side_force: Floats,
 ) -> int:  # fmt: skip
-    """As `compiled_kernels.stress_points`, but with residuals. The strain increment follows from U at n and n+1, not from v.
+    """As `compiled_kernels.stress_points`, but with residuals, and with viscosity. The strain increment follows from U at n and n+1,
+    not from v.
 
     Deviator and residuals enter one yield condition, and one factor returns both to it. The forces of the sides come from the
-    residuals, the stress, and a skew stress that balances their moment. `particle.blocks` computes all but the plastic flow.
+    residuals, the stress, and a skew stress that balances their moment. `particle.blocks` computes all of that but the plastic flow.
     """
     failed = -1
     w = np.zeros((ROWS, BLOCK))
@@ -57,31 +77,26 @@ def stress_points(
             for k in range(6):
                 S[k, c] = returned[k]
             r.unseen[i] = 0.5 * ACROSS * law.G * back * back * unseen
-            b.back[c], b.mean[c] = back, harden_and_press(i, dt, law, J, deps, state)
+            b.back[c], b.mean[c] = back, harden_and_press(i, step.dt, law, J, deps, state)
         forces(most, scheme.V, ACROSS, b)
         scatter(first, hi, s, d, state, r.plastic, side_force, b)
+        add_viscosity(first, min(first + BLOCK, hi), step, scheme, s, m, losses, side_force)
     return failed
 
 
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def point_forces(
-    lo: int, hi: int, dt: float, is_last: bool, scheme: Scheme, s: Sides, m: Motion, losses: Losses, side_force: Floats, f: Floats,
-) -> None:  # fmt: skip
-    """As `compiled_kernels.point_forces`, but without hourglass control."""
+@njit(cache=True, nogil=True)
+def point_forces(lo: int, hi: int, s: Sides, side_force: Floats, f: Floats, work: Floats) -> None:
+    """Pass 2: the forces f (n,3) N on points, sums of side_force_ij - side_force_ji (s,4). The energies of both sides are added to work
+    (n,) J."""
     for i in range(lo, hi):
-        f0 = f1 = f2 = work = 0.0
+        f0 = f1 = f2 = energy = 0.0
         for k in range(s.first[i], s.first[i + 1]):
-            j = s.neighbour[k]
-            x, v = apart(m.x, i, j), apart(m.v, i, j)
-            r = sqrt(dot(x, x))
-            viscous, _ = viscosity(scheme, s.slope[k], s.c[k], r, dot(x, v))
-            viscous *= 1.0 / (r + 0.01 * scheme.h)
-            before, now = exchanged(dt, is_last, x, v, apart(m.v_half, i, j))
-            work += lost(k, 0, dt, viscous, before, now, losses)
-            own = apart(side_force, s.reverse[k], k)
-            f0, f1, f2 = f0 + own[0] + viscous * x[0], f1 + own[1] + viscous * x[1], f2 + own[2] + viscous * x[2]
+            other = s.reverse[k]
+            own = apart(side_force, other, k)
+            f0, f1, f2 = f0 + own[0], f1 + own[1], f2 + own[2]
+            energy += side_force[k, 3] + side_force[other, 3]
         f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
-        losses.work[0, i] += work
+        work[i] += energy
 
 
 @njit(cache=True, nogil=True)

@@ -79,15 +79,3 @@ def linear_stress(
                 for r in range(3):
                     q = (c * P[3 * r] - spring * H[3 * r]) * g[0] + (c * P[3 * r + 1] - spring * H[3 * r + 1]) * g[1]
                     small.side_force[row, r] = spring * e[r] + q + (c * P[3 * r + 2] - spring * H[3 * r + 2]) * g[2]
-
-
-@njit(cache=True, nogil=True)
-def linear_forces(team: Ints, n: int, sides: Sides, side_force: Floats, f: Floats) -> None:
-    """Pass 2 of `enriched_kernels` without viscosity: write forces to f (n,3), in all threads."""
-    for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
-        for i in range(lo, hi):
-            f0 = f1 = f2 = 0.0
-            for row in range(sides.first[i], sides.first[i + 1]):
-                own = apart(side_force, sides.reverse[row], row)
-                f0, f1, f2 = f0 + own[0], f1 + own[1], f2 + own[2]
-            f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2

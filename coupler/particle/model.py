@@ -2,9 +2,9 @@
 other ranks that are neighbours of these points.
 
 The letters are those of the equations in `particle.compiled_kernels`. A side ij is a point i together with one neighbour j: each
-pair of neighbours has two sides, ij and ji. The force on point i by point j is side_force_ij - side_force_ji plus the forces along
-x_j - x_i. side_force (s,3) N has a row for each side of the points of this rank, then for the sides that it gets from other ranks;
-the row ij depends on the state of point i only. SI units.
+pair of neighbours has two sides, ij and ji. The force on point i by point j is side_force_ij - side_force_ji; pass 2 of
+`compiled_kernels` adds the forces along x_j - x_i. side_force (s,3) N has a row for each side of the points of this rank, then for the
+sides that it gets from other ranks; the row ij is computed with point i. SI units.
 """
 
 from typing import NamedTuple
@@ -24,8 +24,16 @@ class Scheme(NamedTuple):
     hourglass: float
 
 
+class Step(NamedTuple):
+    """A time step of dt (s) from n to n+1. is_last: the last of a chunk, whose forces also act in the half step after it."""
+
+    dt: float
+    is_last: bool
+
+
 class Sides(NamedTuple):
-    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] - 1 of the arrays (sides,); first (n+1,).
+    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] - 1 of the arrays (sides,), first (n+1,), in the order of
+    the neighbours' numbers; those from later[i] on, later (n,), have a greater number than i.
 
     neighbour: index of the neighbour; reverse: row of the other side of the pair in side_force; w (1/m5): W'/r, with the derivative W'
     of the kernel at the reference distance r; gradient (sides,3) 1/m: weights g_ij, where the sum over j of (u_j - u_i) (x) g_ij is the
@@ -34,6 +42,7 @@ class Sides(NamedTuple):
     """
 
     first: Ints
+    later: Ints
     neighbour: Ints
     reverse: Ints
     w: Floats
@@ -89,8 +98,8 @@ class State(NamedTuple):
 
 class Losses(NamedTuple):
     """Losses by viscosity (row 0) and hourglass control (row 1). strength (1 or 2,sides) N/m: force of each side divided by distance in
-    the last step, zero before the first step of a chunk; work (2,n) J: energy dissipated in the chunk, half of each pair at each of
-    its points."""
+    the last step, zero before the first step of a chunk, with residuals only on the later side of a pair; work (2,n) J: energy
+    dissipated in the chunk, half of each pair at each of its points."""
 
     strength: Floats
     work: Floats

@@ -24,6 +24,7 @@ from coupler.particle import compiled_kernels, packing, start
 from coupler.particle.compiled import CompiledParticle
 from coupler.particle.enriched import EnrichedParticle
 from coupler.particle.machdyn import MachdynParticle
+from coupler.particle.model import Step
 from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive
 from coupler.physics.materials import material
@@ -148,7 +149,7 @@ def test_one_step_finds_the_rotation_of_any_turn(engine: type[CompiledParticle],
     stretch = np.array([[1.1, 0.05, 0.0], [0.05, 0.9, 0.02], [0.0, 0.02, 1.0]])
     bent = p.X + 0.02 * p.X**2 / 10e-6
     p.points.x[:] = bent @ stretch @ Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix().T
-    together(p._passes.stress_of_all, p.n, p._failed, p._of_stress())
+    together(p._passes.stress_of_all, p.n, p._failed, p._of_stress(Step(p.dt, True)))
     expected = np.array([polar(F)[0].ravel() for F in p.points.F.reshape(-1, 3, 3)])
     assert p.points.R == pytest.approx(expected, abs=1e-13)
     p.close()
