@@ -49,10 +49,10 @@ _UNITS = {
 class Measure:
     """One measure. key: its name in files, where its value is in SI; label: its name in tables; short: its name in a list.
 
-    unit, factor: display unit and factor from SI; default: from the ending of the key. low, high: range that follows from the
-    definition; beyond: text for a value outside this range. expected: range of usual values; unusual: meaning of values (below, above)
-    it. converges: True if the value converges with the number of points, False if it does not (local maxima), None if it does not
-    depend on the resolution.
+    unit, factor: display unit and factor from SI, by default from the ending of the key. low, high: range that follows from the
+    definition; beyond: text for a value outside this range. expected: range of usual values; unusual: meaning of a value below this
+    range, and of one above it. converges: True if the value converges with the number of points, False if it does not (local maxima),
+    None if it does not depend on the resolution.
     """
 
     key: str

@@ -63,7 +63,7 @@ LINKS = {page.path: page.title for page in INPUTS} | {"/runs": "Runs", "/metals"
 
 @contextmanager
 def frame(path: str) -> Iterator[None]:
-    """Make the page header with links to all pages, and set the width of the content. path: address of this page."""
+    """Context manager for page content: makes a header with links to all pages, and sets the width. path: address of this page."""
     ui.colors(primary="#1f78c8")
     ui.query(".nicegui-content").classes("p-3 sm:p-5 items-stretch max-w-[1500px] mx-auto")
     with ui.header(elevated=False).classes("bg-primary text-white px-3 py-2 gap-x-5 gap-y-1 items-center"):

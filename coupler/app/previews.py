@@ -80,7 +80,7 @@ def preview(text: str, path: Path, verb: str, here: pace.Pace) -> Preview:
 
 
 def now(workspace: Workspace, folder: Path) -> Now:
-    """The present state of a run or a job, finished or not. For a damaged run, the text is the error message."""
+    """The present state of a run or a job, finished or not. For a damaged run, the text begins with the error message."""
     row, log = workspace.row(folder), last_lines(folder / "run.log", 6) or last_lines(folder / LOG, 6)
     text, energy, done = log or row.words, None, row.state in (FINISHED, UNDECIDED)
     if row.kind != JOB and (folder / HISTORY).is_file():

@@ -102,8 +102,8 @@ class Workspace:
         return next(n for n in numbers if not (self.root / f"{n}.toml").exists() and not (self.runs / n).exists())
 
     def start(self, folder: Path, *words: str) -> None:
-        """Put a command into the queue. folder: its results folder, in which the process is registered. Raises StoreError if the
-        folder already has a process."""
+        """Put the command `coldspray WORDS` into the queue. folder: its results folder, in which the process is registered. Raises
+        StoreError if the folder already has a process."""
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / LOG).open("a") as log:
             try:
@@ -128,7 +128,8 @@ class Workspace:
         return folder
 
     def resume(self, folder: Path) -> None:
-        """Put a stopped run, an undecided run or a job into the queue again. Raises StoreError for other folders."""
+        """Put a stopped run, an undecided run or a job into the queue again. Raises StoreError if it has a process, or for a folder
+        without run or job."""
         if not _is_ours(folder):
             raise StoreError(f"{folder.name} is not the folder of a run or a job, and cannot be continued")
         scene = self.root / f"{folder.relative_to(self.runs)}.toml"

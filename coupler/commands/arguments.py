@@ -139,8 +139,8 @@ def share(text: str, option: str) -> float:
 
 
 def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
-    """Make the folder of a study (--out, or runs/<verb>-<scene name>) and write the scene into it. Returns the folder. names: file
-    names of the study. Raises StoreError if the folder holds the study of another scene."""
+    """Make the folder of a study (--out, or runs/<verb>-<scene name>) and write the scene into it. Returns the folder. names:
+    patterns of the files that it may replace. Raises StoreError if the folder holds other results or the study of another scene."""
     out: Path = arguments.out or Path("runs") / f"{verb}-{scene.name}"
     claim_folder(out, verb, names, [arguments.scene], arguments.force)
     keep_toml(out / "scene.toml", scene.to_toml(), "study")
@@ -148,7 +148,7 @@ def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names
 
 
 def remake(arguments: argparse.Namespace) -> str:
-    """The command line with which a table can be computed again."""
+    """Text for the head of a table: "remake: coldspray ", followed by the words of this command line."""
     return f"remake: coldspray {shlex.join(arguments.words)}"
 
 

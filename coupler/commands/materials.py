@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command. Returns the exit code. Raises ColdsprayError for an unknown name, or with every problem of a table."""
+    """List the metals, show one, or import a table. Returns the exit code. Raises ColdsprayError for an unknown name or a bad table."""
     from ..physics import materials
 
     if arguments.table:

@@ -186,9 +186,9 @@ def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
 
 
 def estimated_spacing(x: "np.ndarray") -> float:
-    """Estimate of the point spacing (m): edge of the cube that each of the points x (n,3) occupies. For each point, the distance to its
-    k-th neighbour gives an edge, averaged over k. The result is the lower quartile of these edges, because they are smallest inside the
-    body. The error is at most 3 % for lattices and scattered points. Raises SplatError."""
+    """Estimate of the spacing (m) of points x (n, 3). For each point, the mean edge of its cube follows from the distances to its 8th
+    to 24th neighbours. The result is the lower quartile of these edges, because they are smallest inside the body. Error: at most 3 %
+    for lattices and scattered points. Raises SplatError for values that are not finite, fewer than 25 points, or many duplicates."""
     import numpy as np
     from scipy.spatial import cKDTree
 
@@ -209,7 +209,7 @@ def estimated_spacing(x: "np.ndarray") -> float:
 
 def write(path: Path, splat: "Splat") -> None:
     """Write all bodies of a splat with their fields to one file. Cell fields: `body` is the index of the body; `core` is 1 in the core
-    of a composite particle, as in target.vtkhdf. Raises SplatError."""
+    of a composite particle, as in target.vtkhdf. Raises SplatError if the file cannot be written."""
     import meshio
     import numpy as np
 

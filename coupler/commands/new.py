@@ -125,7 +125,7 @@ def _schema(of: str = "scene") -> str:
 
 
 def _points(name: str) -> str:
-    """A CSV text (columns x, y, z in um): points of a cubic lattice in an ellipsoid of 34 x 34 x 12 um. name: stem of the file name."""
+    """A CSV text (columns x, y, z in um): cubic lattice in an ellipsoid of 34 x 34 x 12 um. name: file stem, for its first line."""
     step, (a, c) = 1.5, (17.0, 6.0)
     reach = [[step * (k + 0.5) for k in range(-n, n)] for n in (12, 12, 4)]
     points = [(x, y, z) for x, y, z in product(*reach) if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0]

@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines(pulls: list[dict[str, Any]], strip: dict[str, float] | None) -> Iterator[str]:
-    """Text lines about the pull tests and the strip, from the contents of properties.json."""
+    """Text lines about the pull tests and the bent coated strip (None: no strip), both from properties.json."""
     from ..properties.pull import WORDS
 
     for direction, words in WORDS.items() if pulls else ():

@@ -48,9 +48,9 @@ class BodyContactState:
 class BodyContact(BodyContactState):
     """Contact of the surface nodes of each body with the facets of all other bodies, in both directions for each pair of bodies.
 
-    The contact stiffness of a node follows from the mean area per node of its body's surface; on the substrate, whose mesh becomes
-    coarser outwards, from that of the first splat. Friction: as in `Contact`. A bonded node has no contact with the body to which
-    it is bonded. Bodies with fitted interfaces (`Interface.fitted`) start with almost zero contact force.
+    The contact stiffness of a node follows from the mean area per node of its body's surface. Nodes of the substrate, whose mesh
+    becomes coarser outwards, have the stiffness of the first splat's nodes. Friction: as in `Contact`. A node has no contact with the
+    body to which it is bonded, unless the bond is loose. Bodies with fitted interfaces (`Interface.fitted`) start with almost no force.
     """
 
     pairs: Contact
@@ -82,8 +82,8 @@ class BodyContact(BodyContactState):
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
-        """For each body, the indices of the facets of other bodies whose boxes lie within the reach of the body's box. The reach is
-        half the largest edge of a splat's box: surfaces farther apart cannot touch during an impact."""
+        """For each body: indices of the facets of other bodies that it can touch during an impact. The bounding box of such a facet is
+        closer to the body's bounding box than half the longest edge of all splats' boxes."""
         s = self.surfaces
         low, high = s.boxes(x)
         boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))

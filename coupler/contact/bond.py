@@ -110,7 +110,7 @@ class Bond:
 
     def forces(self, x: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add the forces at positions x (N,3) m to f (N,3) N, and update the damage. active: number of active nodes (default: all);
-        bonds between inactive nodes keep their forces."""
+        bonds between inactive nodes keep their state and add no forces."""
         self.forces_on(x, f, x, f, self._uncovered, len(x) if active is None else active)
 
     def forces_on(
@@ -242,7 +242,7 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check(bond: Bond) -> None:
-    """Raise SolverError unless strength, stiffness > 0, and energy is 0 or at least that of the spring at its strength (if finite)."""
+    """Raise SolverError if strength <= 0, stiffness <= 0, energy < 0, or 0 < energy < energy of the spring at a finite strength."""
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0)):
         raise SolverError(

@@ -19,7 +19,7 @@ class Ties(NamedTuple):
 
         U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
 
-    The forces are its gradient, including the derivative of n: this term gives the couple that balances the moment of the forces
+    The forces are minus its gradient, with the derivative of n: this term gives the couple that balances the moment of the forces
     across the gap. When a bond yields, the permanent part of delta is added to gap, and the permanent part of s moves the point on
     the triangle. Unloading is elastic, to a residual opening. opening: elastic part, max(delta, 0) n + s.
     """
@@ -128,10 +128,10 @@ def bond_forces(
     """Add the forces of cohesive bonds between points xp and triangles of nodes x (N,3) m to f_point and f (N,3), and update the
     bonds. Returns the stored energy and the energy dissipated by this call, J. Forces and moments of each bond are in balance.
 
-    depth (n,) m: positive: penetration of point i in its contact; 0: only a neighbour of the point is in contact (`in_contact`);
-    negative: no contact. In contact the normal traction is compressive: delta is 0 and gap moves with the surface, so that the opening
-    starts where the contact ends. In contact, slip reduces the strength by at most the share 1 - rewelds. `loose` bonds do not resist
-    compression. active: number of nodes that move, the first ones; bonds between other nodes do not change and add no forces.
+    depth (n,) m: positive: penetration of point i in its contact; 0: only a neighbour of the point is in contact (`in_contact`),
+    counted as contact unless the bond is in tension; negative: no contact. In contact the bond has no normal traction, and gap moves
+    with the surface: the opening starts where the contact ends. Slip in contact leaves at least the share rewelds of the strength.
+    `loose` bonds resist no compression. active: number of nodes that move, the first ones; other bonds do not change and add no forces.
     """
     stored = lost = 0.0
     for i in range(len(b.nodes)):

@@ -192,8 +192,8 @@ def reachable(
     """Candidates (start, face) that the points `rows` can touch before a point of the body b and a face have moved by travel[b] m
     relative to each other.
 
-    The boxes of these faces are at most d + 2 travel away from the point. d is the distance of the closest face or, if the point has
-    candidates of several bodies, the larger of this and its limit (k,) m. A point without a closest face keeps all its candidates.
+    The boxes of these faces are at most d + 2 travel[b] away from the point. d is the distance of the closest face; if the point has
+    candidates of several bodies, d is at least the limit (k,) m of this point. A point without a closest face keeps all its candidates.
     Points that are not in `rows` keep none.
     """
     first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
@@ -249,7 +249,7 @@ def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: in
 
 @njit(cache=True, nogil=True)
 def least_node(rows: Ints, node: Ints, c: Candidates, faces: Faces) -> Ints:
-    """Smallest index of a node, among each point of `rows` and the nodes of its candidates. node (n,): node of each point."""
+    """For each point of `rows`, the smallest index among its own node and its candidates' nodes. node (n,): own nodes, -1 for none."""
     least = np.empty(len(rows), np.int64)
     for q in range(len(rows)):
         i = rows[q]

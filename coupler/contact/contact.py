@@ -65,11 +65,11 @@ class Contact(ContactState):
         share: float = 0.5, jump: float = JUMP, node: Ints | None = None, facing: Sequence[Ints] | None = None, skin: float = 0.0,
     ):  # fmt: skip
         """owner (n,): body of each point, ascending from 0; facets (k,3): nodes, normal outwards; body (k,): body of each facet;
-        stiffness N/m, spacing (m): spacing of the points of each body; share: share of the friction heat that goes to the points;
+        stiffness (N/m), spacing (m) of the points of each body; share: share of the friction heat that goes to the points;
         jump: largest inward motion of a point in one step, in spacings: a point that moves farther did not enter through this
         surface, and has no contact until it is outside again; node (n,): node of each point in the domain (default: points are not
-        nodes); facing: for each body, the facets that its points can ever touch (default: all); skin: spacings added to the search
-        distance: the search stays valid while surfaces move this far."""
+        nodes); facing: for each body, the facets that its points can ever touch (default: all); skin: a search covers this many
+        spacings more than `travel`, so that it stays valid for later calls; 0: each call of `search` searches again."""
         n, bodies = len(owner), len(spacing)
         self.constants, self._skin = Constants(friction, share, jump), skin
         self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
@@ -177,8 +177,8 @@ class Contact(ContactState):
         return broad.boxes_within(low, high, self.facing[body], least - margin, most + margin)
 
     def _start(self, due: Ints, x: Floats, travel: float, part: Floats) -> Floats:
-        """Start the searches of the bodies `due`. Returns the relative displacement (bodies,) m of the points of each body and the
-        faces up to which the search is valid. part: see `searches.own_travel`."""
+        """Start the searches of the bodies `due`. Returns far (bodies,) m: the search of body b is valid until its points and the faces
+        have moved by far[b] relative to each other; 0 for other bodies. part: see `searches.own_travel`."""
         far = np.zeros(len(self.spacing))
         near = {body: self._around(body, self.spacing[body] + 2.0 * travel) for body in due}
         s = self._searches = self._searches.begun(near, self.faces, self.points.x, x)

@@ -25,7 +25,7 @@ class ParticleBonds:
     """
 
     def __init__(self, bond: Bond, beside: csr_matrix):
-        """beside (v,k): has an entry in row i for each of the k contact nodes that is a neighbour of point i of the surface."""
+        """beside (v,k): row i is nonzero at those of the k contact nodes that are neighbours of vertex i of the surface."""
         self.bond, near = bond, beside[bond.nodes]
         bond.loose[:] = True
         self._ring = near.indptr.astype(np.int64), near.indices.astype(np.int64)

@@ -140,8 +140,8 @@ def valid_searches(
 ) -> None:  # fmt: skip
     """Write to valid (bodies,) whether the last search of each body stays valid while surfaces move by `travel` m, in all threads.
 
-    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; skin: displacement, in spacings,
-    for which a search is valid in addition to that in its first chunk of steps; x (N,3) m: nodes.
+    part: as in `own_travel`; active: number of nodes that move, the first ones; spacing (bodies,) m; skin: a search covers this many
+    spacings more than the displacement in its first chunk of steps; x (N,3) m: nodes.
     """
     for lo, hi, _ in ranges(team, 0, len(valid), LEAST_BODIES):
         for body in range(lo, hi):

@@ -39,7 +39,7 @@ class Surfaces:
 
     @cached_property
     def _by_body(self) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of all facets, sorted by body, and the index of the first facet of each body."""
+        """Returns order and start: order[start[b]:start[b + 1]] are the indices of the facets of body b, ascending."""
         return np.argsort(self.body, kind="stable"), np.cumsum([0, *np.bincount(self.body)])
 
     def facets_of(self, *bodies: int) -> np.ndarray:

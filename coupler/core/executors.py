@@ -43,8 +43,8 @@ def executor(
     """An executor of one of KINDS for `count` computations at a time; `mpi` uses all ranks but the first.
 
     folder: for logs of Slurm jobs. slurm: options by name: `cores` is the number of computations at a time in a job, `time` the limit
-    of a job, all others are options of sbatch. starts_processes: the functions start processes themselves, so that `processes` uses
-    threads; otherwise MEMORY is added to the environment of this process. Raises ColdsprayError.
+    of a job, all others are options of sbatch. starts_processes: whether the functions start processes themselves: `processes` then
+    uses threads; if not, it adds MEMORY to the environment of this process. Raises ColdsprayError if `kind` cannot be used.
     """
     if kind == "processes":
         if starts_processes:

@@ -42,8 +42,8 @@ class Shape:
 class Rows(Shape):
     """Annotation of an array field that has a row of this shape for each node, element or point. fill: initial value.
 
-    lammps: whether LAMMPS stores the array. least: lower bound of the values in a splat's mesh, to which they pass from points;
-    None: the bound is the smallest value of the points. dtype, index_of: as in `Shape`.
+    lammps: whether LAMMPS stores the array. least: lower bound of the values after the transfer from points to the mesh of a splat;
+    None: the smallest value of the points. dtype, index_of: as in `Shape`.
     """
 
     def __init__(

@@ -122,7 +122,8 @@ def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
 
 def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
     """The error of each measure: {"half_width": error, SI; "order": order of the extrapolation; "coarser": values of the coarser
-    runs}. levels: the measures of an impact at each resolution, the finest first. Measures with only one known value are left out."""
+    runs}. levels: measures of an impact at each resolution, finest first. Measures are left out if the finest value
+    or all coarser values are unknown, or if they have no error (`has_error`)."""
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]

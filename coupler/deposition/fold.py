@@ -73,7 +73,7 @@ class Deposition:
 
     @property
     def can_continue(self) -> bool:
-        """Whether the last impact so far can continue: it is undecided or without a verdict."""
+        """Whether the last impact so far can continue: it is undecided, or it is not known whether the particle rebounds."""
         return self.undecided or self.records[-1].values["rebounded"] is None
 
     @property
@@ -95,8 +95,8 @@ class Deposition:
 
     def compute(self, batch: Batch, target: Bodies) -> list[Done]:
         """Compute the impacts of a batch, each on its own sub-domain of the target. Returns the results up to and including the first
-        undecided impact. If the run may skip impacts, one that fails or is undecided leaves the plan, and the result is an empty list;
-        otherwise the error of an impact that fails is raised."""
+        undecided impact. If the run may skip impacts, the first failed or undecided one is removed from the plan, and the list is
+        empty: no result of the batch is kept. Otherwise the error of a failed impact is raised."""
         done = self._done(batch, target)
         for k, each in enumerate(done):
             error = each.result if isinstance(each.result, ColdsprayError) else None
@@ -182,7 +182,7 @@ class Deposition:
         return target
 
     def finish(self, target: Bodies) -> None:
-        """Write the summary of the run. Keep the checkpoints if the last impact has no verdict: it can be resumed."""
+        """Write the summary of the run. Remove the checkpoints, unless the last impact can continue (`can_continue`)."""
         (self.folder / PICTURE).unlink(missing_ok=True)  # from an earlier end of this run
         origin = provenance(Result(self.folder).scene_text, self.plan.engine)
         self.store.finish({**self._summary(target), "provenance": origin})

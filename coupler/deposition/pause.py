@@ -108,7 +108,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
 
 
 def _balance(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> float:
-    """Relax the imbalance from the impacts; heat that has not yet raised pressures is kept for later. Returns the number of steps."""
+    """Relax the imbalance from the impacts. The heat in `elements.heat` takes effect only afterwards. Returns the number of steps."""
     t = bodies.target
     heat = t.elements.heat.copy()
     t.elements.heat[:] = 0.0

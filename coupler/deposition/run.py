@@ -110,7 +110,7 @@ def resume(
     jobs: int = 1,
     error: bool = True,
 ) -> Result:
-    """Continue the unfinished run in a folder from its last complete checkpoint, or from its start without a checkpoint.
+    """Continue the unfinished run in a folder from its last complete checkpoint; if there is none, from the start of the run.
 
     The number of ranks may change. A finished run is returned unchanged. An undecided run continues its last impact until `until` (s,
     time of this impact); by default the time limit is doubled. A run that met its end criterion without a verdict

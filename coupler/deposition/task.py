@@ -91,7 +91,8 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result in its files; an undecided impact continues. Raises as `run_impact` and `join`."""
+    """Compute a task, or return the result in its files. An undecided impact continues; with `options.until` also one without a
+    verdict. Raises as `run_impact` and `join`."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
@@ -133,7 +134,7 @@ def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> 
 def run_alone(
     task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int
 ) -> TaskResult | ColdsprayError:
-    """Call `attempt` in a process of an executor. numerics, every (s between checkpoints), until, threads: as in `RunOptions`."""
+    """Result of `attempt` in a process of an executor. numerics, every (s between checkpoints), until, threads: as in `RunOptions`."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
     def check(_: object) -> None:

@@ -138,8 +138,8 @@ def kinematics(
 ) -> None:
     """Write the state and the kinematics from n to n+1 of the block of elements that begins with `first` to w (ROWS, BLOCK).
 
-    two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): law of each element. A block with fewer elements is filled up
-    with copies of the last element, hi - 1, so that the result for an element does not depend on where the range begins.
+    two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): law of each element; hi: end of the range of elements. Copies
+    of element hi - 1 fill the last block, so that the result for an element does not depend on where the range begins.
     """
     half = 0.5 * dt
     b = rows_of(w)

@@ -19,7 +19,7 @@ def dashpots(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Absorbing boundary of Lysmer & Kuhlemeyer (1969) at facet sets: the nodes (k,) that are not fixed, and the damping matrix
     (k,3,3) kg/s of each. The matrix is the sum of rho (c_p n n^T + c_s (1 - n n^T)) area / 3 over the facets of the node. laws: LAW
-    records; law_of (m,): law of each element."""
+    records; law_of (m,): law of each element; names: names of the facet sets; fixed: indices of the fixed nodes."""
     nodes = np.setdiff1d(nodes_of(mesh, names), fixed)
     matrix = np.zeros((len(mesh.points), 3, 3))
     for name in names:

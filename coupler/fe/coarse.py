@@ -40,8 +40,9 @@ def _stiffness(
     low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats,
     occurs: Bools,
 ) -> None:  # fmt: skip
-    """Add the elastic stiffness, N/m, of the first m elements for displacements of the grid to A (g,g,3,3), a block for two grid
-    points. The stiffness matrix is A + A^T, with A as (3g,3g). Writes only rows [low, high). occurs (g,g): mask of nonzero blocks.
+    """Add the elastic stiffness (N/m) of the first m elements to A (g,g,3,3): a block for each pair of grid points. The stiffness
+    matrix for displacements of the grid is A + A^T, with A as (3g,3g). Writes only rows [low, high) of A and occurs (g,g), the mask
+    of nonzero blocks.
 
     points, weights (n,8): grid points of each node, ascending, and their weights, 0 for a fixed node.
     """
@@ -150,8 +151,8 @@ def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _between(P: sparse.csr_array, springs: Links) -> sparse.csr_array:
-    """Stiffness matrix (g,g) N/m of springs between bodies, for displacements of the grid in any one direction. Springs whose ends move
-    together add nothing: most springs, except at the edge of the free nodes and after a slip."""
+    """Stiffness matrix (g,g) N/m of springs between bodies, the same for each direction. P (n,g): weights of the grid points. Only
+    springs whose ends the grid moves apart add stiffness: springs at the edge of the free nodes, or after a slip."""
     n, (ends, weights, stiffness) = P.shape[0], springs
     row, end = np.nonzero(ends < n)  # other nodes do not move
     apart = sparse.csr_array((weights[row, end], (row, ends[row, end])), shape=(len(ends), n)) @ P
@@ -159,7 +160,7 @@ def _between(P: sparse.csr_array, springs: Links) -> sparse.csr_array:
 
 
 def _of_half_space(P: sparse.csr_array, t: Target) -> sparse.csr_array:
-    """Stiffness matrix (3g,3g) N/m of the half-space around the target, for displacements of the grid."""
+    """Stiffness matrix (3g,3g) N/m of the half-space around the target, for displacements of the grid. P (n,g): as in `_between`."""
     active = t.spring_nodes < t.active_nodes
     own = sparse.kron(P[t.spring_nodes[active]], sparse.eye_array(3), format="csr")
     springs = t.springs[active]

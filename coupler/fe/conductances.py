@@ -117,7 +117,7 @@ def _between_corners(lo: int, hi: int, x: Floats, conn: Ints, w: Floats) -> None
 
 @njit(cache=True, nogil=True)
 def _find_nodes(lo: int, hi: int, c: Conductors, first: Ints, count: Ints, found: Ints) -> None:
-    """List the nodes in each row a: found[first[a]:first[a] + count[a]] receives the nodes of the conductors around node a."""
+    """Append the nodes of the conductors around each node a, once each, to found[first[a]:first[a] + count[a]]; write count, c.slot."""
     for a in range(lo, hi):
         for r in range(c.start[a], c.start[a + 1]):
             nodes = c.conn[c.table[r] >> 2]
@@ -159,9 +159,9 @@ def _write_implicit(
 def levels(
     lo: int, hi: int, c: Conductors, metals: Metals, nodal: Floats, T: Floats, share: Floats, k: Floats, excess: Floats, rate: Floats,
 ) -> None:  # fmt: skip
-    """Write, for each element: its conductivity at the mean temperature of its nodes, k (m,) W/mK; its temperature less this mean,
-    excess (m,) K; the rate at which this excess decays, 2 k sum(w) / capacity, rate (m,) 1/s (w: see `Conductors`). share (m,) J/K: a
-    quarter of its capacity."""
+    """Write for each element: k (m,) W/mK: conductivity at the mean temperature of its nodes; excess (m,) K: its temperature minus this
+    mean; rate (m,) 1/s at which the excess decays, 2 k sum(w) / capacity (w: see `Conductors`). nodal (n,) K, T (m,) K: temperatures
+    of nodes and elements; share (m,) J/K: a quarter of each element's heat capacity."""
     for e in range(lo, hi):
         n, w = c.conn[e], c.w[e]
         mean = 0.25 * (nodal[n[0]] + nodal[n[1]] + nodal[n[2]] + nodal[n[3]])

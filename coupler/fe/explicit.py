@@ -38,7 +38,7 @@ LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 @dataclass(eq=False)
 class TargetState:
-    """State from which a target continues with the same numbers; the mesh is not part of it.
+    """State from which a target continues with unchanged results. The mesh is not part of the state.
 
     force_suffix_sum (n+1,3) N: row i is the sum of the internal forces of all nodes from i on, at the last `deactivate_beyond`; drag
     (d,3) N: forces of the dashpots; support (3,) N: force of supports and absorbing sides; dt_last (s); reach (m): distance of the
@@ -137,7 +137,7 @@ class Target(TargetState):
         return self.rest_scale * self.mesh.points[self.spring_nodes]
 
     def foundation_load(self) -> np.ndarray:
-        """Row sums (n,) N/m of the stiffness matrix of the half-space, for the bound on omega^2."""
+        """Largest sum of absolute values in a row of each node's half-space stiffness, (n,) N/m, for the bound on omega^2."""
         load = np.zeros(len(self.nodes.x))
         load[self.spring_nodes] = np.abs(self.springs).sum(axis=2).max(axis=1, initial=0.0)
         return load
@@ -198,7 +198,7 @@ class Target(TargetState):
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
     def active_after(self, time: float) -> int:
-        """Number of active nodes after another `time` s: those that the wave front has reached; np.inf: all in the window."""
+        """Number of active nodes after another `time` s: those that the wave front has reached. time = np.inf: all in the window."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
 
     def _activate(self, dt: float) -> None:
@@ -286,7 +286,8 @@ class Target(TargetState):
             self.support -= reduction
 
     def add_up(self, dt: float) -> None:
-        """Add up internal and external forces of the active nodes, and the work of the internal forces in a step of dt s."""
+        """Write the sums of internal and external forces of the active nodes to `nodes.total`, subtract the work of the internal forces
+        in a step of dt s from `balance.internal_work`, and set `support` to the force of the inactive part."""
         n = self.active_nodes
         work, nodes = np.zeros(PARTS), self.nodes
         together(motion.add_up, n, dt, nodes.f_old, nodes.f, nodes.v, self.f_ext, nodes.total, work)
@@ -312,8 +313,8 @@ class Target(TargetState):
         return self.balance.impulse + 0.5 * self.dt_last * self.support
 
     def restore(self, state: TargetState) -> None:
-        """Restore the state (`core.records.copied`) of a target of the same mesh. Raises CheckpointError if the state does not fit
-        the mesh."""
+        """Restore a state that `core.records.copied` has made of a target with the same mesh. Raises CheckpointError if the state does
+        not fit this target."""
         n, m = len(self.nodes.x), len(self.mesh.conn)
         if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
             raise unfit("the target has another number of nodes or elements")

@@ -86,8 +86,8 @@ class ElementInertia(InertiaState):
             f[self.nodes] = self._share @ f[self.nodes]
 
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
-        """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns, for
-        the forces that this takes away, their work in the step, J, and their sum (3,) N, which fixed nodes carry."""
+        """Apply `slow` to the total forces (N,3) N on the first n nodes, the active ones, at the end of a step of dt s. Returns the
+        work (J) in the step of the forces that this takes away, and the sum (3,) N of these forces: it acts on the supports instead."""
         work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self.last]))
         before = total[self.nodes]
         moving = self.nodes < n

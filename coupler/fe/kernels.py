@@ -182,7 +182,7 @@ def advance(
 
 @njit(cache=True, nogil=True)
 def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Metals, dt_of: Floats) -> None:
-    """Write a lower bound on the stable time step of each element to dt_of (m,) s; 0 for an inverted or undefined element.
+    """Write a lower bound on the stable time step of each element to dt_of (m,) s; 0 if its volume or omega^2 is not above zero.
 
     omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b. The largest eigenvalue
     of an element is a bound for the mesh. K increases with compression.

@@ -17,8 +17,8 @@ class Relaxation:
     """
 
     def __init__(self, target: Target, radius: float, dt: float):
-        """radius (m): only nodes and elements whose reach (`TetMesh`) is smaller can move. The pending heat of all others raises
-        their pressure in one step of dt s."""
+        """radius (m): only nodes and elements whose reach (`TetMesh`) is smaller can move. If other elements have pending heat
+        (`ElementState.heat`), the target first makes one step of dt s, in which this heat raises the pressure."""
         t = self.target = target
         t.activate_all()
         m = int(np.searchsorted(t.mesh.reach_element, radius))
@@ -53,8 +53,8 @@ class Relaxation:
         self._damped = self.inv_mass.copy()
 
     def advance(self, damping: float) -> None:
-        """Make one step like `Target.advance`. damping: dt times the frequency (1/s) for which it is critical; forces are divided by
-        1 + damping."""
+        """Make one step like `Target.advance`, with forces divided by 1 + damping; `motion.damp` damps the velocities. damping: dt
+        times the angular frequency (1/s) that is critically damped."""
         t, n = self.target, self.target.active_nodes
         t.balance.impulse += self.dt * t.support
         np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])

@@ -45,8 +45,8 @@ class ElementState(MetalState):
 @dataclass
 class Balance(Sums):
     """Energy balance of a target since its start, J. plastic: plastic work; numerical: work of the bulk viscosity and of the
-    inertia of scaled elements; heat: part of the heat that raises the pressure; internal_work; absorbed: energy absorbed at
-    boundaries. impulse (3,) N s: external impulse; time s."""
+    inertia of scaled elements; heat: part of the heat that raises the pressure; internal_work: work against the
+    internal forces; absorbed: energy absorbed at boundaries. impulse (3,) N s: external impulse; time s."""
 
     plastic: float = 0.0
     numerical: float = 0.0

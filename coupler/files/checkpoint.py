@@ -79,7 +79,7 @@ def latest(
     directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
 ) -> R | None:
     """The state of the last complete checkpoint, a record of class `kind`; None if there is no checkpoint. A damaged checkpoint is
-    skipped, with a line to log(text). Raises CheckpointError if a key of `about` differs, or all are damaged."""
+    skipped, with a line to log(text). Raises CheckpointError if the format or a value in `about` differs, or all are damaged."""
     damaged = []
     for _, path in reversed(stored(directory)):
         try:
@@ -128,8 +128,8 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
 
 
 def _for_json(arrays: dict[str, np.ndarray], value: object) -> object:
-    """Convert a value that JSON cannot hold: a record becomes a dict with the name of its class, an array is added to `arrays` and
-    becomes its key there, a number of numpy becomes a number."""
+    """Convert a value that JSON cannot hold. A record becomes a dict with the name of its class. An array is added to `arrays` and
+    becomes a dict with its key there. A number of numpy becomes a number."""
     if is_dataclass(value) and not isinstance(value, type):
         return {_RECORD: type(value).__name__, **{f.name: vars(value)[f.name] for f in fields(value)}}
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:

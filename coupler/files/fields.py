@@ -61,8 +61,8 @@ class Root:
     path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """`count` rows (None: all) of a numeric data set from index `start`. kinds: allowed values of dtype.kind. Raises ValueError,
-        StoreError if memory is too small."""
+        """`count` rows (None: all) of a numeric data set from index `start`. kinds: allowed values of dtype.kind. Raises ValueError
+        if the file is damaged, StoreError if memory is too small."""
         *folders, last = name.split("/")
         group = self.group
         for folder in folders:

@@ -19,8 +19,8 @@ _MOST_ROWS = 1000  # of a matrix; of larger ones, blocks are averaged
 
 
 def read_heights(path: Path) -> Surface:
-    """Points (n,3) and triangles (m,3) of a surface in a file, in the units of the file. In a matrix, neighbours have the distance 1,
-    and the first row has the largest y. Heights of images of integers are 0 (black) to 1 (white). Raises InputError, StoreError."""
+    """Points (n,3) and triangles (m,3) of a surface in a file, in the units of the file. Values in a matrix or image are 1 apart,
+    and the first row has the largest y. Heights in an image of integers: 0 is black, 1 is white. Raises InputError, StoreError."""
     kind = path.suffix.lower()
     if kind in SURFACES:
         x, triangles = read_surface(path)
@@ -44,7 +44,7 @@ def read_heights(path: Path) -> Surface:
 
 
 def _numbers(text: str) -> NDArray[np.float64]:
-    """Numbers (rows, columns) of a text with one separator. Comments, and column names in the first line, are left out."""
+    """Numbers (rows, columns) of a text. All lines have the separator of the last. Comments and a line of column names are left out."""
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%"))]
     if not lines:
         raise ValueError("it is empty")

@@ -64,7 +64,7 @@ def check_regular(path: str | Path, limit: int | None = None) -> int:
 
 
 def similar(path: str | Path, is_folder: bool = False) -> str:
-    """A hint such as ' (did you mean "first.toml"?)' for a missing file (is_folder: folder); "" if no name is similar."""
+    """A hint such as ' (did you mean "first.toml"?)' for a missing file, or folder if `is_folder`; "" without a similar name."""
     try:
         there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
     except (OSError, ValueError):
@@ -140,7 +140,7 @@ def toml_of(text: str, path: str | Path) -> dict[str, Any]:
 
 
 def line_of(text: str, problem: str) -> str:
-    """Text to append to the TOML error `problem`: content of the line that it names, hint if quotes are missing; "" without a line."""
+    """Text to append to the TOML error `problem`: the line with the error, and a hint on missing quotes; "" if no line is named."""
     place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""

@@ -46,8 +46,8 @@ def claim_folder(
     folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool | None = False
 ) -> None:
     """Check that a command may write files into a folder; create the folder and mark it with its kind. names: patterns of the files
-    that may be replaced in a folder of this kind; inputs: files that are never replaced; force: replace such files in any other
-    folder, None if the command has no such option. Raises StoreError."""
+    that may be replaced in a folder of this kind; force: replace these files in any other folder too, None if the command has no
+    such option; inputs: files that are never replaced. Raises StoreError."""
     check_folder(folder)
     present = [path for name in names for path in sorted(folder.glob(name))] if folder.is_dir() else []
     keep_inputs(folder, names, inputs)

@@ -67,7 +67,7 @@ class Result:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it is known if the particle of the last impact sticks or rebounds. A run without a verdict can continue."""
+        """False for a finished run in which it is unknown if the last particle sticks or rebounds. Such a run can continue."""
         return self.values.get("rebounded", False) is not None
 
     @property
@@ -139,8 +139,8 @@ class Result:
             return times_of(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
-        """Points, cells and data of a domain at a stored step; step -1 is the last. domain: "particle", "surface", "target" or
-        "cold". Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
+        """Points, cells and data of a domain at a stored step; -1 is the last. domain: "particle", "surface", "target" or "cold" (the
+        bodies after the closing stage). Raises StoreError if the file is missing or damaged, IndexError if there is no such step."""
         path = fields_file(self.directory, domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored no fields of the {domain}")

@@ -54,8 +54,8 @@ class Store:
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> "Store":
         """Create the folder of a new run and write scene and plan. Run files that were in the folder are removed, all others stay.
 
-        force: the folder may hold a finished or unfinished run, or files with the names of run files that no run has written. Raises
-        StoreError if it holds them without `force`, if another run writes there, or if the folder is not writable.
+        force: accept a folder with a finished or unfinished run, or with other files that have names of run files. Raises StoreError
+        for such a folder without `force`, if another run writes there, or if the folder is not writable.
         """
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
@@ -89,14 +89,14 @@ class Store:
             return cls(directory, lock_folder(directory))
 
     def state(self) -> StoreState:
-        """The amount of data written so far, for `go_on`."""
+        """The numbers of steps and the history written so far, for `go_on`."""
         steps = {domain: writer.steps for domain, writer in self._writers.items()}
         history = np.array(self._rows).reshape(-1, max(len(self._columns), 1))
         return StoreState(steps, list(self._columns), history)
 
     def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
-        """Reset the files to an earlier `state`, or to empty files if it is None. New files replace the old ones only when they are
-        complete, so that an interruption loses nothing. A damaged file is started again; log(text) receives a line about it."""
+        """Reset the files to an earlier `state`; None: remove them. New files replace the old ones only when they are complete, so that
+        an interruption loses nothing. A damaged file is renamed, and a new one is started; log(text) receives a line about it."""
         self._close_files()
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # it exists if the run was undecided

@@ -14,7 +14,7 @@ Values = dict[str, Any]
 
 class Summary(TypedDict, total=False):
     """Contents of summary.json, SI units. run: values of the whole run; impacts: record of each impact; joins: report of the joining of
-    each splat; closing: report of the closing stage; history_rows: of history.csv; provenance: `files.provenance`."""
+    each splat; closing: report of the closing stage; history_rows: number of rows of history.csv; provenance: `files.provenance`."""
 
     format: int
     version: str

@@ -41,7 +41,7 @@ def read_any_text(path: Path, limit: int) -> str:
 
 def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> Table:
     """Read the table in a text. names: names of the columns in their order, where "-" leaves a column out; default: the names above the
-    numbers. axes: a letter for each required column of numbers, its name if the text has no names. Raises ValueError."""
+    numbers. axes: a letter for each required column of numbers; without any names, the letters are the names. Raises ValueError."""
     lines = [line.strip() for line in text.splitlines()]
     numbers = (sum(map(_is_number, _fields(line, _separator(line)))) for line in lines)
     first = next((k for k, count in enumerate(numbers) if count >= len(axes)), None)
@@ -77,7 +77,7 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
 
 
 def _separator(line: str) -> str:
-    """Column separator of a line: tab, semicolon or comma; "" (blanks) without commas, or with only decimal ones in 3 or more words."""
+    """Column separator: tab, semicolon or comma; "" (blanks) if the line has no commas, or only decimal commas in 3 or more words."""
     for separator in "\t;":
         if separator in line:
             return separator
@@ -137,7 +137,7 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
 
 
 def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Numbers by axis, for columns without names. If there are more columns than axes, a remark says which are used."""
+    """Numbers by axis, for unnamed columns; row numbers in the first are skipped. If not all are used, a remark says which are."""
     places = list(columns)
     values = columns[places[0]]
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):

@@ -75,10 +75,10 @@ class VtkHdfWriter:
     def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one time step to the file.
 
-        time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points; they are stored again only if they change. data: first
-        at points, then in cells: name -> (n,) or (n, k); integers stay integers; (n, 6) are symmetric tensors xx yy zz xy yz xz, as
-        in VTK. All steps have the same names. Raises ValueError for wrong shapes or names, OSError if the file cannot be written;
-        the file then accepts no more steps and keeps the earlier ones.
+        time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points; cells are stored again only if they change. data: a
+        dict of data at points, then one of data in cells: name -> (n,) or (n, k); integers stay integers; (n, 6) are symmetric
+        tensors xx yy zz xy yz xz, as in VTK. All steps have the same names. Raises ValueError for wrong shapes or names, OSError if
+        the file cannot be written; the file then accepts no more steps and keeps the earlier ones.
         """
         if not self._file:
             raise OSError(errno.EBADF, "the file is closed, perhaps after an earlier error")

@@ -50,7 +50,7 @@ def _iterate(
     team: Ints, indptr: Ints, indices: Ints, data: Floats, inverse: Floats, beta: float, rz: float, x: Floats, r: Floats, p: Floats,
     q: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """One iteration of `solve`. Writes p . A p, and r . z and r . r of the new residual, of each part of the rows to sums (PARTS,3)."""
+    """One iteration of `solve`. Writes p . A p, and r . (inverse r) and r . r of the new residual r, by parts to sums (PARTS,3)."""
     for lo, hi, _ in ranges(team, 0, len(x), LEAST):
         for i in range(lo, hi):
             p[i] = inverse[i] * r[i] + beta * p[i]
@@ -100,7 +100,7 @@ def products_of_rows(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats
 def combine_both(
     team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats, zero: Floats
 ) -> None:
-    """Write W x, W v and zero to the given rows of out_x, out_v, `zero` (k,3); x, v (n,3); W: start (k+1,), columns, weights (CSR)."""
+    """Write W x, W v and 0 to the given rows of out_x, out_v and `zero` (k,3). W: start (k+1,), columns, weights (CSR); x, v (n,3)."""
     start, columns, weights = W
     for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
         for r in rows[lo:hi]:

@@ -41,11 +41,11 @@ class RaySurface:
         self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
-        """The points x, scaled, as an open3d tensor in single precision."""
+        """The points x, relative to `middle` and divided by `unit`, as an open3d tensor in single precision."""
         return self._tensor(np.ascontiguousarray((x - self.middle) / self.unit, np.float32))
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:
-        """Distance (k,) m of points x (k,3) m outside a closed surface from it; 0 for points inside."""
+        """Distance (k,) m of points x (k,3) m from the closed surface; 0 for points inside."""
         distance, out = np.zeros(len(x)), np.flatnonzero(~self.inside(x))
         distance[out] = self._scene.compute_distance(self._single(x[out]), nthreads=1).numpy()
         return distance * self.unit

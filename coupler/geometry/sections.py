@@ -62,9 +62,9 @@ def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray
 
 
 def crossing(points: NDArray, edges: NDArray, y: float) -> tuple[NDArray, NDArray]:
-    """Intersections of edges (...,2), between points on different sides of a plane of constant y, with the plane.
+    """Intersections of edges (...,2) with a plane of constant y: x and z (...,2), and position along the edge, 0 to 1, (...).
 
-    Returns x and z (...,2), and the position along the edge, 0 to 1, (...).
+    The two points of each edge lie on different sides of the plane.
     """
     a, b = points[edges[..., 0]], points[edges[..., 1]]
     share = (y - a[..., 1]) / (b[..., 1] - a[..., 1])

@@ -105,7 +105,7 @@ def _layer(points: np.ndarray, tets: np.ndarray, law: np.ndarray, t: TargetPlan)
 
 
 def _with_faces(bodies: Bodies, half_space: tuple[str, ...]) -> Bodies:
-    """`bodies`, a layered substrate, with sets of its outer faces: top, sides, bottom. half_space: names of the sets in HALF_SPACE."""
+    """`bodies`, a layered substrate, with sets of its outer faces: top, sides, bottom; HALF_SPACE: union of the sets `half_space`."""
     domain = domain_now(bodies.target, bodies.body)
     mesh, of_facet = domain.mesh, bodies.body[domain.mesh.facet_element]
     sets = name_sides(mesh.points, mesh.facets)

@@ -98,13 +98,13 @@ class EndCriterion(EndState):
         return self.settled(time) if self.at == "rest" else self.turned is not None
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left or is at rest, after the greatest deformation: `loud` is more than `quiet` s ago, `fast` more
-        than `held_quiet` s ago, it is `arrested`, or (only if the scene ties it) `power` is below `spent`."""
+        """Whether the particle has left or is at rest after the greatest deformation. One of these is enough: `loud` is more than
+        `quiet` s ago; `fast` is more than `held_quiet` s ago; it is `arrested`; the scene ties it and `power` is below `spent`."""
         is_quiet = time - self.loud > self.quiet or time - self.fast > self.held_quiet
         return self.turned is not None and (self.arrested or is_quiet or self.power < self.spent)
 
     def slid_off(self, time: float) -> bool:
-        """Whether the particle has left over the rim of the target: its contact has had no force for `quiet` s beyond the rim."""
+        """Whether the particle has left over the rim of the target: after contact, `above` and `loud` are more than `quiet` s ago."""
         return self.touched and time - max(self.above, self.loud) > self.quiet
 
     def at_limit(self, time: float) -> bool:
@@ -127,8 +127,8 @@ class EndCriterion(EndState):
         return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
-        """Let an impact that has ended at `time` s continue until `until` s. If `until` is None, only an impact that its time limit has
-        ended before it met its criterion continues, for the same time again. No impact continues that `slid_off` has ended."""
+        """Let an impact that has ended at `time` s continue to `until` s. None: to twice `time`, if it has reached its time limit but
+        has not met its criterion; else it does not continue. An impact that ended by `slid_off` alone does not continue."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
                 self.end_time += time

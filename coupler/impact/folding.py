@@ -42,7 +42,7 @@ def whole_surface(body: Body, outer: CarriedSurface, place: Floats) -> CarriedSu
 class Folding:
     """Contact of all surfaces of a particle, including cavities, with each other and with themselves.
 
-    If a search first finds a vertex behind a face, as across a wall, the two have no contact (`contact.kernels.project`).
+    A vertex that comes near a face from behind, through a wall, has no contact with this face (`contact.kernels.project`).
     """
 
     def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):

@@ -8,7 +8,7 @@ from ..errors import SolverError
 
 @dataclass(frozen=True)
 class Remedy:
-    """Settings of a retry. dt_factor: factor on the stable time step; words: description; numerics: lower limits of `Numerics`."""
+    """Settings of a retry. dt_factor: factor on the stable time step; words: description; numerics: minimum values for `Numerics`."""
 
     dt_factor: float
     words: str

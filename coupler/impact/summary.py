@@ -42,8 +42,8 @@ def summarise(
 ) -> ImpactRecord:
     """The record of a finished impact. wall (s): total wall time; looped (s): wall time in the time loop.
 
-    A value is None, with a reason in `refused`, if it is outside its range, if it needs the end criterion and the impact is
-    undecided, or if it is the rebound velocity of a particle that does not rebound.
+    A value is None, with a reason in `refused`, if it is outside its range, if it describes the end state and the impact is undecided,
+    if it is the rebound velocity of a particle that does not rebound, or if it is divided by a plastic work that is too small.
     """
     # a coating continues without a particle that has slid off it
     several, cracked = len(recorder.plan.impacts) > 1, _cracked(recorder) if recorder.impact_plan.brittle == 0 else ""

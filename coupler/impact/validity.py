@@ -93,10 +93,10 @@ def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
 
 
 def merged(texts: list[str]) -> list[str]:
-    """The warnings of a whole run, without repetitions. If warnings differ only in numbers, impacts or bodies, only the one with the
-    largest first number remains, with a note about the others.
+    """The warnings of a whole run, without repetitions. A warning of an impact begins with "impact N: ". If such warnings differ only
+    in N, bodies or other numbers, only that with the largest first number after "impact N: " remains, with a note about the others.
 
-    Warnings of an impact begin with "impact N: ". Each other warning appears once, unchanged.
+    Each warning that does not belong to an impact appears once, unchanged.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):

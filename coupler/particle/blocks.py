@@ -103,7 +103,7 @@ def write_three(rows: Floats, k: int, i: int, a: Vector) -> None:
 def gather(
     first: int, hi: int, laws: Laws, s: Sides, m: Motion, d: Deformation, state: State, plastic: Floats, b: Block
 ) -> int:
-    """Write F, R and stress at n and the sides of BLOCK points from `first` on to b. Returns the largest number of sides of a point.
+    """Fill b with F, R and stress at n and the sides of the points first to first + BLOCK - 1. Returns their largest number of sides.
 
     A block with fewer points is filled up with copies of the last point, hi - 1: the results of a point do not depend on its block.
     """
@@ -180,8 +180,8 @@ def strain(b: Block) -> None:
 
 @_inlined
 def residuals(most: int, b: Block) -> None:
-    """Write the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of up to `most` sides to the rows DU, their sums to omega
-    and square, sum w r^2 to span, and sum w e (x) (X_j - X_i) to U; all in b."""
+    """Write to b: the elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of up to `most` sides of each point, to the rows DU;
+    sum e_p x w e to omega, sum w e^2 to square, sum w |X_j - X_i|^2 to span, and sum w e (x) (X_j - X_i) to U."""
     for i in range(BLOCK):
         b.square[i] = b.span[i] = b.omega[0, i] = b.omega[1, i] = b.omega[2, i] = 0.0
         write_nine(b.U, i, ZERO)
@@ -206,8 +206,8 @@ def residuals(most: int, b: Block) -> None:
 
 @_inlined
 def forces(most: int, V: float, across: float, b: Block) -> None:
-    """Write the plastic residuals after the radial return to the rows EP, and side_force = stiffness w R e - Q g to the rows DU. Q:
-    b.B; V (m3): volume of a point; across: stiffness of a residual divided by the shear modulus."""
+    """After the radial return, write the plastic residuals to the rows EP, side_force = stiffness w R e - Q g to the rows DU, and Q to
+    b.B. V (m3): volume of a point; across: stiffness of a residual divided by the shear modulus."""
     for i in range(BLOCK):
         R, c, stiffness = nine(b.R, i), -V * b.J[i], V * across * b.shear[i] / b.span[i] * b.back[i]
         t = 0.5 * stiffness / c  # a skew stress that balances the moment of the residuals

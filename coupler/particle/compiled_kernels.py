@@ -116,8 +116,8 @@ def squared(S: Symmetric) -> float:
 
 @_inlined
 def flow(i: int, law: Law, S: Symmetric, square: float, sigma_y: Floats) -> tuple[Symmetric, float, float]:
-    """Radial return of a trial deviator S to the yield stress of the last step. square: S : S, including residuals. Returns the new
-    deviator, its ratio to S, and the increment of plastic strain."""
+    """Radial return of a trial deviator S to the yield stress of the last step. square (Pa2): S : S, plus the term of the residuals
+    if the scheme has them. Returns the new deviator, its ratio to S, and the increment of plastic strain."""
     q, sy = sqrt(1.5 * square), sigma_y[i]
     deps, back = 0.0, 1.0
     if q > sy:
@@ -200,7 +200,7 @@ def viscosity(scheme: Scheme, slope: float, c: float, r: float, approach: float)
 def hourglass(
     scheme: Scheme, slope: float, c: float, r0: float, WE: float, r: float, x: Vector, e: Vector, is_plastic: bool, mu: float
 ) -> float:  # fmt: skip
-    """MACHDYN's force (N) along a side against hourglass error e (m): viscous in plastic flow, else elastic. WE: W E of `Control`."""
+    """MACHDYN's hourglass force (N), attraction positive; viscous in plastic flow, else elastic. e (m): error; WE: W E of `Control`."""
     along = dot(e, x)
     if is_plastic:
         viscous = -slope * max(sqrt(dot(e, e)) / r0, LEAST_ERROR) * scheme.hourglass * c * mu
@@ -211,17 +211,17 @@ def hourglass(
 
 @_inlined
 def exchanged(step: Step, approach: float, now: float, square: float) -> tuple[float, float]:
-    """The products x . v_half (m2/s) with x at n and at n+1, for `lost`. approach, now: x . v and x . v_half at n+1; square: v_half .
-    v_half; x, v, v_half: of j relative to i. In the last step of a chunk x . v is added to the second product, for the half step after
-    it."""
+    """Returns x . v_half (m2/s) with x at n, and with x at n+1, for `lost`. In the last step of a chunk x . v at n+1 is added to the
+    second value, because the force also acts in the half step after the chunk. x, v, v_half are those of j relative to i. approach:
+    x . v at n+1; now: x . v_half with x at n+1; square: v_half . v_half."""
     before = now - step.dt * square  # x_j - x_i at n is its value at n+1 less dt v_half
     return before, now + approach if step.is_last else now
 
 
 @_inlined
 def lost(dt: float, former: float, strength: float, before: float, now: float) -> float:
-    """Half (J) of the energy dt (f_n + f_n+1) / 2 . v_n+1/2 that a pair force dissipates in the step. former, strength (N/m): force
-    at n and at n+1 over distance; before, now: from `exchanged`."""
+    """Half (J) of the energy dt (f_n + f_n+1) / 2 . v_n+1/2 that a pair force f dissipates in the step. former, strength (N/m): f at n
+    and at n+1, divided by the distance; before, now: from `exchanged`."""
     return 0.25 * dt * (former * before + strength * now)
 
 
@@ -230,9 +230,9 @@ def point_forces(
     lo: int, hi: int, step: Step, scheme: Scheme, s: Sides, control: Control, m: Motion, d: Deformation,
     losses: Losses, side_force: Floats, f: Floats,
 ) -> None:  # fmt: skip
-    """Pass 2: the forces f (n,3) N on points: side_force_ij - side_force_ji, and along x_j - x_i viscosity and hourglass control.
+    """Pass 2: write the forces on points to f (n,3) N: sums over j of side_force_ij - side_force_ji, viscous and hourglass force.
 
-    The hourglass error is (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). Both points of a pair compute the same numbers.
+    The last two act along x_j - x_i. Hourglass error: (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i). Both points compute the same numbers.
     """
     for i in range(lo, hi):
         f0 = f1 = f2 = by_viscosity = by_control = 0.0

@@ -30,8 +30,8 @@ ACROSS = 10.0 / 9.0  # stiffness of a residual divided by G: mean of 1, 1 (two d
 def add_viscosity(
     lo: int, hi: int, step: Step, scheme: Scheme, s: Sides, m: Motion, losses: Losses, side_force: Floats
 ) -> None:
-    """Add the viscous force of each pair to the side of the point with the smaller number, and write half (J) of the energy that it
-    dissipates to the last column."""
+    """Add the viscous force of each pair to the row of side_force that belongs to the point with the smaller number. Write half (J) of
+    the energy that this force dissipates to column 3 of the row."""
     for i in range(lo, hi):
         for k in range(s.later[i], s.first[i + 1]):
             j = s.neighbour[k]
@@ -86,8 +86,8 @@ def stress_points(
 
 @njit(cache=True, nogil=True)
 def point_forces(lo: int, hi: int, s: Sides, side_force: Floats, f: Floats, work: Floats) -> None:
-    """Pass 2: the forces f (n,3) N on points, sums of side_force_ij - side_force_ji (s,4). The energies of both sides are added to work
-    (n,) J."""
+    """Pass 2: write the sum over j of side_force_ij - side_force_ji, columns 0 to 2, to f (n,3) N for each point i. Add column 3 (J) of
+    both sides of its pairs to work (n,)."""
     for i in range(lo, hi):
         f0 = f1 = f2 = energy = 0.0
         for k in range(s.first[i], s.first[i + 1]):

@@ -28,7 +28,7 @@ GRID = 128.0  # steps are rounded down to powers of 2^(1 / GRID): then the last 
 
 
 class Small(NamedTuple):
-    """A small motion u (N,3) of the points, and the forces side_force (s,3) that it causes, arranged as in `model`."""
+    """A small motion u (N,3) of the points, and the forces side_force (s,3) that it causes. N, s and the order of rows: see `model`."""
 
     u: Floats
     side_force: Floats

@@ -34,8 +34,8 @@ def inertia_of_cells(
     lo: int, hi: int, laws: Laws, law_of: Ints, scale: float, mass: float, sides: Sides, F: Floats, J: Floats, spatial: Floats,
     inertia: Floats,
 ) -> None:  # fmt: skip
-    """Write F^-T g to spatial (sides,3) 1/m, and the inertia c of each cell to inertia (n,) kg m2. scale: STIFFER V (T / 2)^2, m3
-    s2, for the time step T; mass (kg): of the lightest point of the body; for this mass c is largest."""
+    """Write F^-T g to spatial (sides,3) 1/m, and the inertia c of each cell to inertia (n,) kg m2. scale (m3 s2): STIFFER V (T / 2)^2
+    for the time step T; mass (kg): of the lightest point of the body, used for all points, because a larger mass gives a smaller c."""
     for i in range(lo, hi):
         law = laws[law_of[i]]
         B, _ = inverse(matrix_of(F, i))

@@ -99,8 +99,8 @@ def add_up(
     """Write sums over points, part by part, to sums (PARTS,6): kinetic energy and stored energy, J; momentum, kg m/s; square of the
     largest speed, m2/s2.
 
-    Stored energy: of deviators, J V s:s / 4G, and of volume changes, with the part due to heat. Kinetic energy: sum of m v(n-1/2).
-    v(n+1/2) / 2, whose change in the integrator is the work of the forces. v (n,3) m/s at n+1/2; f (n,3) N.
+    Stored energy: of deviators, J V s:s / 4G, and of volume changes, with the part due to heat. Kinetic energy: the sum of
+    m v(n-1/2) . v(n+1/2) / 2; its change in the integrator is the work of the forces. v (n,3) m/s and f (n,3) N: both at n.
     """
     for lo, hi, part in ranges(team, 0, len(volume), LEAST_POINTS):
         kinetic = stored = x = y = z = fastest = 0.0

@@ -32,8 +32,8 @@ class Step(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Neighbours of the points. Point i has the rows first[i] to first[i + 1] - 1 of the arrays (sides,), first (n+1,), in the order of
-    the neighbours' numbers; those from later[i] on, later (n,), have a greater number than i.
+    """Neighbours of the points, in arrays (sides,). The rows first[i] to first[i + 1] - 1 belong to point i, in the order of the
+    neighbours' numbers. From row later[i] on, the neighbours have greater numbers than i. Shapes: first (n+1,), later (n,).
 
     neighbour: index of the neighbour; reverse: row of the other side of the pair in side_force; w (1/m5): W'/r, with the derivative W'
     of the kernel at the reference distance r; gradient (sides,3) 1/m: weights g_ij, where the sum over j of (u_j - u_i) (x) g_ij is the
@@ -98,8 +98,8 @@ class State(NamedTuple):
 
 class Losses(NamedTuple):
     """Losses by viscosity (row 0) and hourglass control (row 1). strength (1 or 2,sides) N/m: force of each side divided by distance in
-    the last step, zero before the first step of a chunk, with residuals only on the later side of a pair; work (2,n) J: energy
-    dissipated in the chunk, half of each pair at each of its points."""
+    the last step, zero before the first step of a chunk; in the enriched scheme only for sides ij with a greater number of j than
+    of i; work (2,n) J: energy dissipated in the chunk, half of each pair at each of its points."""
 
     strength: Floats
     work: Floats

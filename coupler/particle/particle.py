@@ -212,10 +212,10 @@ class Particle(LocalState, ABC):
         return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """Make `steps` steps of dt s. Each step calls on_step(), which writes f_ext, with positions at n+1.
+        """Make `steps` steps of dt s. Each step calls on_step() when the positions are those at n+1; on_step writes f_ext.
 
         Raises the error of on_step, or SolverError when LAMMPS stops or MACHDYN deletes a point. If other ranks share the particle,
-        on_step is called in all steps even after a failure, and `failure` is the error.
+        on_step is called in all steps even after a failure; `failure` keeps the error, which is raised after the last step.
         """
         self._on_step, self.dt, self.failure, self._steps_left = on_step, dt, None, steps
         self.f_ext[:] = 0.0

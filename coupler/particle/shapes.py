@@ -113,7 +113,7 @@ def of_surface(points: np.ndarray, triangles: np.ndarray, diameter: float, count
 
 def core_of(body: Body, share: float) -> np.ndarray:
     """Index (n,) of the material of each point of a body: 1 in the core, 0 in the shell. The core consists of the points farthest
-    below the outer surface; of points at the same depth an even selection. share: volume fraction of the core, to half a point."""
+    below the outer surface, with an even selection of those at its least depth. share: volume fraction of the core, in whole points."""
     feet = RaySurface(body.vertices, body.triangles).feet(body.points)[0]
     depth = np.round(np.linalg.norm(body.points - feet, axis=1) / body.spacing, 1)
     all_round = _GOLDEN * np.arange(len(depth)) % 1.0

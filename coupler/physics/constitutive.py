@@ -53,8 +53,8 @@ SWITCHES = (
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
-    """The LAW record (1,) of a material: its constants, for the kernels. on: effects by name; others keep their default: on,
-    except for two effects.
+    """The LAW record (1,) of a material: its constants, for the kernels. on: whether an effect is on, by name. Effects that are not
+    named are on, except for two.
 
     rate_filter: time constant of the average of the plastic strain rate for the strength law, s; 0: no average. Without mie_gruneisen
     the Hugoniot has s = 0 and Gamma0 = 0: p = K (1 - J). Without thermal expansion heat is not part of the energy in the equation of
@@ -285,7 +285,7 @@ def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
 
 @njit(cache=True)
 def yield_stresses(laws: Laws, law_of: Ints, eps_p: Floats, T: Floats, gradient: Floats) -> Floats:
-    """Yield stress (m,) Pa at rate 0: LAW records laws, law_of (m,), eps_p (m,), T (m,) K, gradient (m,3) of eps_p, 1/m."""
+    """Yield stress (m,) Pa at rate 0. law_of (m,): index in LAW records laws; eps_p (m,), T (m,) K; gradient (m,3) of eps_p, 1/m."""
     sigma = np.empty(len(T))
     for e in range(len(T)):
         law = laws[law_of[e]]
@@ -311,7 +311,7 @@ def von_mises(stress: NDArray) -> NDArray[np.float64]:
 
 @njit(cache=True, nogil=True)
 def _equivalent(lo: int, hi: int, stress: NDArray, found: Floats) -> None:
-    """Write the equivalent stress of each tensor to found (n,)."""
+    """Write the equivalent stresses of the tensors lo to hi - 1 of stress (n,6) to found (n,)."""
     for i in range(lo, hi):
         s = stress[i]
         mean = (s[0] + s[1] + s[2]) / 3.0

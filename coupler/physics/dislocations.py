@@ -13,10 +13,10 @@ NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47
 
 
 def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, float]:
-    """A and B, Pa, in Taylor's relation sigma = y (A + B ln y). G (Pa); burgers: b (m); alpha: Taylor's coefficient at TAYLOR_DENSITY.
+    """A and B, Pa, in Taylor's relation sigma = y (A + B ln y), y = b sqrt(density). G: Pa; burgers: b, m.
 
-    sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))), M: TAYLOR_FACTOR: short segments have less line tension
-    (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040).
+    sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): short segments have less line tension (Devincre, Kubin &
+    Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040). M: TAYLOR_FACTOR; alpha: Taylor's coefficient at TAYLOR_DENSITY.
     """
     stress, reference = TAYLOR_FACTOR * alpha * G, math.log(alpha * burgers * math.sqrt(TAYLOR_DENSITY))
     slope = LINE_TENSION / reference
@@ -25,6 +25,6 @@ def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, floa
 
 def stress_of_gradient(forest: tuple[float, float], length: float, eta: float) -> float:
     """Flow stress, Pa, due to only the dislocations of a gradient of plastic strain, eta (1/m). forest: A and B, Pa; length (m):
-    `Material.gradient_length`. Both are 0 for a metal that gradients do not harden."""
+    `Material.gradient_length`. For a metal that gradients do not harden, the length and the result are 0."""
     (A, B), y = forest, math.sqrt(length * eta)
     return y * (A + B * math.log(y)) if y > 0.0 else 0.0

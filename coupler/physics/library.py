@@ -57,7 +57,7 @@ def refuse(problems: list[str], name: str) -> None:
 
 
 def read_number(value: object, unit: str, low: float, high: float) -> float:
-    """The SI value of a text with a unit; a plain number if unit is "". Raises ValueError for others, and outside low to high (SI)."""
+    """SI value of a text with a unit, or of a plain number if unit is "". Raises ValueError otherwise, and outside low to high (SI)."""
     if unit:
         number = units.parse(value, units.dimension_of(unit))
     elif isinstance(value, bool) or not isinstance(value, int | float):

@@ -27,8 +27,8 @@ _HARDEST = 5.0  # largest initial plastic strain for a hardness
 
 
 class Number(NamedTuple):
-    """A number of a material. unit: "" for a plain number; low, high: limits in SI units, wide enough for any metal; varies: it may
-    depend on temperature."""
+    """Unit and limits of a numerical property. unit: "" for a plain number; low, high: limits in SI units, wide enough for any metal;
+    varies: whether the property may depend on temperature."""
 
     unit: str
     low: float
@@ -38,7 +38,7 @@ class Number(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A metal: strength law, shock equation of state, thermal data. SI units. None: not known.
+    """A metal, ceramic or polymer: strength law, shock equation of state, thermal data. SI units. None: not known.
 
     c0, s: constants of the Hugoniot. cp, k, thermal_expansion (linear): ((T, value), ...), one pair for a constant, or two pairs;
     values are linear between the pairs and constant outside. sigma_TS: tensile strength at 293 K, for critical velocities. kind:
@@ -156,7 +156,7 @@ class Material:
     def initial_strain(self, hardness: float | None, yield_strength: float | None) -> float:
         """Initial plastic strain of a metal with a given hardness or yield strength, Pa, at 293 K and the lowest rate of its law.
 
-        Hardness: three times the flow stress after a further strain of 0.08 (Tabor 1951). Raises ValueError with the range of the law.
+        Hardness: three times the flow stress after a further strain of 0.08 (Tabor 1951). Raises ValueError outside the law's range.
         """
         wanted = yield_strength if hardness is None else hardness
         if wanted is None:
@@ -209,7 +209,7 @@ class Entry:
     aliases: tuple[str, ...]
 
     def with_set(self, choice: str) -> Material:
-        """The material with the first strength set whose name or law is `choice`. Raises ValueError that lists all sets."""
+        """The material with the first strength set whose name or law is `choice`. Raises ValueError with all sets if there is none."""
         for name, table in self.sets.items():
             if choice in (name, table["law"]):
                 return _with_set(self.material, name, table)
@@ -251,7 +251,7 @@ def material(name: str, strength: str = "") -> Material:
 
 
 def fitted_at(metal: Material, rate: float) -> list[str]:
-    """Names of the library's strength sets of a metal whose fitted rates reach up to a strain rate (1/s)."""
+    """Names of those of the library's strength sets of a metal that are fitted up to the strain rate `rate` (1/s) or higher."""
     known = _library().get(metal.name)
     ranges = {other.strength.set: other.strength.fitted.rate for other in known.materials} if known else {}
     return [name for name, limits in ranges.items() if limits and limits[1] >= rate]

@@ -14,8 +14,8 @@ UNKNOWN: Any = None  # value of a field that a cloud of points does not have
 class MetalState:
     """State of n points or elements. eps_p: equivalent plastic strain that hardens the metal; eps_recovered: plastic strain removed
     by recovery (`physics.recovery`); T (K): temperature; eps_gradient (1/m): gradient of eps_p (during an impact: in the unrotated
-    frame), zero in metals that gradients do not harden. If a field is added to this class, the program stores, restores, meshes, joins
-    and renumbers it without other changes of the code."""
+    frame), zero in metals that gradients do not harden. If a field is added to this class, no other code must change: the program
+    stores and restores the field, and passes it to the mesh of a splat and to the next impact."""
 
     eps_p: Annotated[np.ndarray, Rows(least=0.0)] = UNKNOWN
     T: Annotated[np.ndarray, Rows()] = UNKNOWN

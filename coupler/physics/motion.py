@@ -144,10 +144,10 @@ def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats)
 def damp(
     lo: int, hi: int, free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Floats, momentum: Floats
 ) -> None:
-    """Update v and momentum M v of the free rows by a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and the same times M for M v'.
+    """Update v and the momentum M v of the free rows by a damped step: (1 + a) v' = (1 - a) v + dt M^-1 f.
 
-    Damping does not change the stable time step. damping: a, relative to the critical damping of the step. along (m/s2): the part of
-    M^-1 f that is added to v here; `kick` adds the other part, f divided by the masses of the nodes.
+    Afterwards M v is complete, but v contains only the part `along` (m/s2) of M^-1 f; `kick` adds the other part, f divided by the
+    masses of the nodes. damping: a, relative to the critical damping of the step; a does not change the stable time step.
     """
     keep, add = (1.0 - damping) / (1.0 + damping), dt / (1.0 + damping)
     for a in range(lo, hi):

@@ -20,9 +20,9 @@ _Y = np.geomspace(1e-7, 0.3, 300)  # b sqrt(rho)
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Static recovery of one metal. densities (k,) 1/m2 at plastic strains (k,), both ascending. lattice, core: D_v and a_c D_c, each
-    as factor (m2/s, m4/s) and activation energy (J/mol). climb: 2 tau_L b / k_B, m2 K, with the line tension tau_L
-    of a dislocation and its Burgers vector b."""
+    """Static recovery of one metal. densities (k,) 1/m2 at plastic strains (k,), both ascending. lattice: factor (m2/s) and activation
+    energy (J/mol) of self-diffusion; core: the same for diffusion along dislocations (D_c, m4/s, and Q_c of `Material`).
+    climb: 2 tau_L b / k_B, m2 K, with the line tension tau_L of a dislocation and its Burgers vector b."""
 
     strains: np.ndarray
     densities: np.ndarray

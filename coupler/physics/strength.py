@@ -82,7 +82,7 @@ def steinberg_guinan(law: Numbers, eps_p: float, rate: float, T: float) -> float
 
 
 def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> float:
-    """Flow stress, Pa: 2 G(T) tau with a saturation stress s, a yield stress y and Voce hardening between them.
+    """Flow stress, Pa: 2 G(T) tau. Voce hardening from a yield stress y to a saturation stress s; tau, y, s: stresses over 2 G(T).
 
     Preston, Tonks & Wallace (2003), J. Appl. Phys. 93, 211, eqs. 3 to 12. s and y are each the larger of a stress by thermal
     activation, with erf(kappa T/T_m ln(gamma xi / rate)), and one by phonon drag at high rates, s_0 (rate / gamma xi)^beta; in y

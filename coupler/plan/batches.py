@@ -59,10 +59,10 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:
-    """An order of the impacts that allows large batches, as indices of the impacts. The last batch is filled first, because a pause
-    takes the most computing time late in the run. An impact moves to a later batch if its window is far enough from the windows of this
-    batch, and its splat cannot overlap the splats of the impacts that then come before it. Thus splats that may overlap keep their
-    order. If a window is infinite, the order does not change."""
+    """An order of the impacts that allows large batches, as indices of the impacts. The last batch is filled first: small
+    batches are then early in the run, when a pause takes less computing time. An impact moves to a later batch if its window is far
+    enough from the windows of this batch, and its splat cannot overlap the splats of the impacts that then come before it. Thus splats
+    that may overlap keep their order. If a window is infinite, the order does not change."""
     if not all(math.isfinite(impact.window) for impact in impacts):
         return list(range(len(impacts)))
     left, groups = list(range(len(impacts)))[::-1], list[list[int]]()

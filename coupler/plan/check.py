@@ -35,7 +35,7 @@ Problem = tuple[tuple[str, ...], str]  # the fields of the check, the message
 
 
 def _wrong(field: str, value: float, unit: str, text: str, *looked: str) -> Problem:
-    """A problem: all fields of a check, and the message about the wrong value (SI) of `field`. looked: the other fields."""
+    """The problem of a wrong value (SI) of `field`: all checked fields, and the message. looked: the other checked fields."""
     return (field, *looked), f"{field} = {text_of(value, unit)}: {text}"
 
 

@@ -40,7 +40,7 @@ class Fed:
     by_number: tuple[np.ndarray, np.ndarray] | None = None
 
     def diameter(self, u: float) -> float:
-        """The diameter (m) below which lies a fraction u (0 to 1) of the number of particles between the limits of the diameter."""
+        """Quantile u (0 to 1) of the diameter by number, m. The distribution is cut off at the limits of the diameter."""
         t = self.table
         if self.by_number is not None:
             return float(np.interp(u, *reversed(self.by_number)))
@@ -196,8 +196,8 @@ def _drawn(
 
 
 def _place(table: Coating, dice: random.Random, places: list[tuple[float, float]]) -> tuple[float, float]:
-    """A random position (m) on the disc of the coating, uniform in area. In an "even" layer several positions are drawn, and the one
-    farthest from `places` is used (Mitchell 1991). places: the earlier positions of the layer or pass."""
+    """A random position (m) on the disc of the coating, uniform in area. With "even", several positions are drawn, and the one with
+    the largest distance from the nearest of `places` is used (Mitchell 1991). places: the earlier positions of the pass."""
 
     def anywhere() -> tuple[float, float]:
         r, phi = table.radius * math.sqrt(dice.random()), 2.0 * math.pi * dice.random()

@@ -217,8 +217,8 @@ def forecast(plan: Plan) -> Forecast:
 
 
 def _computed(plan: Plan, impact: ImpactPlan, met: int) -> int:
-    """Number of elements that an impact computes: those of the substrate within its window, and a share of those of the splats, the
-    area of the window over the refined area. met: elements of substrate and earlier splats."""
+    """Number of elements that an impact computes: those of the substrate within its window, and a share of those of the splats.
+    The share is the area of the window divided by the refined area, at most 1. met: elements of substrate and earlier splats."""
     target, w = plan.target, impact.window
     if math.isinf(w):
         return met

@@ -121,8 +121,8 @@ class Derived:
         return self.spacing / 2 if particle.gap is None else particle.gap
 
     def output_every_of(self, particle: Particle) -> float:
-        """Simulated time between two written steps of an impact, s: by default D / v / 25, longer in a long sequence. Infinite if only
-        the end is written."""
+        """Simulated time between two written steps of an impact, s: by default diameter / velocity / 25, longer in a long sequence.
+        Infinite if only the end is written."""
         if self.scene.output.at == "ends":
             return math.inf
         outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))

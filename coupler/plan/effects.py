@@ -125,7 +125,7 @@ def decide(scene: Scene, each: Sequence[Mapping[str, float]], settled: Mapping[s
 
 
 def heating(material: Material, T: float, velocity: float) -> float:
-    """Temperature rise, K, if all kinetic energy became plastic work: beta v^2 / (2 cp)."""
+    """Temperature rise, K, if all kinetic energy becomes plastic work: beta v^2 / (2 cp). beta: Taylor-Quinney coefficient."""
     return material.taylor_quinney * velocity**2 / (2 * material.cp_at(T))
 
 

@@ -40,8 +40,8 @@ def ground_of(body: Substrate, element_size: float) -> Ground | None:
 
 @cache
 def _grid(table: HeightMap, changed: int, diameter: float, pitch: float) -> tuple[tuple[float, ...], ...]:
-    """Heights (m) of a map on a grid over the substrate, as `Ground.grid`, averaged over two pitches, with mean 0 over the substrate.
-    changed: time stamp of the file, for the cache."""
+    """Heights (m) of a map on a grid of this pitch (m), as `Ground.grid`, minus their mean over the substrate. A Gaussian filter with
+    a standard deviation of one pitch then smooths them. changed: time stamp of the file, for the cache."""
     half = math.ceil(0.5 * diameter / pitch)
     axis = pitch * np.arange(-half, half + 1)
     places = np.stack(np.meshgrid(axis, axis), axis=-1)

@@ -147,8 +147,8 @@ class Job:
 
     @cached_property
     def arrived(self) -> Mapping[str, Spray]:
-        """Each powder at impact, by name. Its critical-velocity formula is that of its metal on the surface of the substrate. A ceramic
-        powder needs a metal powder in the blend. Raises ColdsprayError as `window.spray`."""
+        """Each powder at impact, by name. Its critical velocities are from the formula for its metal on the surface of the substrate;
+        a ceramic has none. Raises ColdsprayError as `window.spray`, also for ceramics without a metal powder in the blend."""
         found, base = {}, self.metals[self.surface]
         of_base = f"substrate.{'layer[1].' * bool(self.data.substrate.layer)}material"
         for name, powder in self.powders.items():
@@ -169,7 +169,7 @@ class Job:
 
     @cached_property
     def hits(self) -> tuple[tuple[str, str], ...]:
-        """Each metal powder with the name of a metal that it hits: of the substrate, then its own."""
+        """Names (powder, metal that it hits): each metal powder hits the surface of the substrate, then its own metal if it differs."""
         metals = (powder for powder in self.powders.values() if not powder.metal.is_ceramic)
         return tuple(
             (each.name, base) for each in metals for base in dict.fromkeys((self.surface, each.table.material))
@@ -199,8 +199,8 @@ class Job:
         }, f"{self.name}_on_{base}")  # fmt: skip
 
     def check(self) -> None:
-        """Raise SceneError if no coating can be computed: the path of the gun does not pass it, its surface cannot be meshed, or its
-        powder cannot be resolved. Each problem is told once, with the key of the job."""
+        """Raise SceneError if the last coating of `parts` cannot be computed. For example, the gun does not move over it, the surface
+        cannot be meshed, or a powder cannot be resolved. The message has one problem for each key of the job."""
         try:
             self.coating([part for part in self.parts if isinstance(part, Coatings)][-1], 1)
         except SceneError as error:
@@ -241,8 +241,8 @@ class Job:
 
     @cached_property
     def stays(self) -> Mapping[str, float]:
-        """Mass of each powder in the coatings over the mass that is fed: what sticks of a metal by the formula, and all of a ceramic.
-        If no metal sticks, all of each powder."""
+        """Mass of each powder in the coatings, divided by the fed mass of all powders. Of a metal the fraction `efficiency` stays, of a
+        ceramic everything; if no metal sticks, everything of each powder. Powders of which nothing stays are left out."""
         each = {
             name: powder.table.share * (1.0 if powder.metal.is_ceramic or not self.sticks else self.efficiency(name))
             for name, powder in self.powders.items()
@@ -251,7 +251,7 @@ class Job:
 
     @cached_property
     def medians(self) -> Mapping[str, float]:
-        """Median diameter (m) of the mass of each powder in the coatings: for a metal that of the mass that sticks by the formula."""
+        """Median diameter by mass, m, of each powder in the coatings. If sizes of it stick by the formula, only these sizes count."""
         found = {}
         for name in self.stays:
             ratio, share = self.arrived[name].ratio / self.slant, self.arrived[name].share
@@ -267,7 +267,7 @@ class Job:
 
     @property
     def room(self) -> float:
-        """Least number of points of the smallest particle of a coating."""
+        """Number of points that the smallest particle of a coating needs at least."""
         return max(powder.room for powder in self.powders.values())
 
     def middle(self, points: int) -> dict[str, tuple[float, float, float]]:
@@ -296,8 +296,8 @@ class Job:
         )))  # fmt: skip
 
     def reach(self, powder: str) -> tuple[float, float]:
-        """Smallest and largest velocity of a powder, m/s. For each size it is the velocity at which the median particle has the ratio
-        of velocity to critical velocity of this size, by the formula."""
+        """Smallest and largest velocity, m/s, for a search with the median particle. They are its critical velocity times the
+        smallest and the largest ratio of velocity to critical velocity of all sizes, by the formula, at most FASTEST."""
         at = self.arrived[powder]
         same = at.ratio.clip(max=FASTEST) * at.critical[len(at.share) // 2]
         return math.floor(same.min()), math.ceil(same.max())

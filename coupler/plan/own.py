@@ -9,9 +9,9 @@ KINDS = ("materials", "nozzles")
 
 
 def with_library(raw: dict[str, object], source: str) -> list[str]:
-    """Replace the key `library` of a scene by the tables [materials.NAME] and [nozzles.NAME] of its file. If the scene has a table of
-    the same name, the table of the scene remains. raw: the scene as nested dicts, changed in place; source: file of the scene, whose
-    folder is the base of relative names. Returns the problems."""
+    """Replace the key `library` of a scene by the tables [materials.NAME] and [nozzles.NAME] of the file that the key
+    names. If the scene has a table of the same name, the table of the scene remains. raw: the scene as nested dicts, changed in place;
+    source: file of the scene, whose folder is the base of relative names. Returns the problems."""
     name, problems = raw.pop("library", None), []
     given: list[Mapping[str, object]] = [raw]
     if isinstance(name, str) and "\0" not in name:

@@ -51,8 +51,8 @@ def arrivals(path: GunPath, table: Coating, folder: Path) -> tuple[list[int], li
     until the next particle, None if it is not known.
 
     A layer is one run of the gun over all lines. The numbers are in proportion to the mass that each pass brings to the coated area;
-    equal masses arrive between the particles of a pass. If the gun does not move, each time is `table.dwell`. folder: folder to which a
-    file name is relative. Raises ValueError; the message begins with the name of the field.
+    in a pass, the same mass arrives from each particle to the next. If the gun does not move, each time is `table.dwell`. folder:
+    folder to which a file name is relative. Raises ValueError; the message begins with the name of the field.
     """
     number = table.number // table.layers
     if path.passes is None:

@@ -103,8 +103,8 @@ def _stays(scene: Scene, particle: Particle, normal: Vector) -> bool:
 
 
 def _under(scene: Scene, i: int, normals: Sequence[Vector]) -> tuple[Material, float, bool]:
-    """The body that impact i hits: the last splat under its centre, or the substrate. Returns its material, its temperature (K), and
-    whether it is a splat."""
+    """The body that impact i hits: the last splat under its centre, or the substrate. Returns its material, its initial
+    temperature (K), and whether it is a splat. normals: of the ground at each impact."""
     at = scene.particles[i].offset
     for k in reversed(range(i)):
         earlier = scene.particles[k]

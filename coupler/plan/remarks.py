@@ -92,8 +92,8 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
 
 
 def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
-    """Warning about metals whose strength law is used beyond its fitted strain rates (at v / D), with the strength sets that are
-    fitted there; "" if there are none."""
+    """Warning about metals whose strength law is fitted only below the largest strain rate velocity / diameter of the impacts, with
+    their strength sets that are fitted up to this rate; "" if there are no such metals."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
     limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
@@ -103,7 +103,7 @@ def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str
 
 
 def _hot(material: Material, *reached: float) -> str:
-    """Text about bodies of a material that may come near its melting point; "" if none does. reached (K): their temperatures."""
+    """Text about bodies of a material that may come near its melting point; "" if there are none. reached: their temperatures, K."""
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""

@@ -117,8 +117,8 @@ class Problem:
         return np.where(np.equal.outer(alike, alike), 0.5 * (energy + energy.T), 0.0)
 
     def answers(self, prescribed: NDArray, fields: NDArray) -> NDArray:
-        """The fields (loads, components n) of least energy that have the values of `fields` (loads, components n) where `prescribed`
-        (components n,). Raises SolverError."""
+        """The fields (loads, components n) of least energy that are equal to `fields` (loads, components n) where the mask `prescribed`
+        (components n,) is True. Raises SolverError."""
         T, free = self._leads(prescribed)
         K, own, found = csr_array(T.T @ self.K @ T), prescribed[free], fields[:, free]
         inner, outer = K[~own][:, ~own], K[~own][:, own]

@@ -37,8 +37,8 @@ GROUND, TOP = 0.99, 0.1  # quantiles of the heights of substrate and coating bet
 @dataclass(frozen=True)
 class Bracket:
     """One property: the value of the bulk metal, and the values of the block under each condition, SI unit. static: None if a part of
-    the block is loose; the lower bound is then zero. error: standard error of the mixed value, from the four quarters of the block,
-    None if the quarters are too small; size: mixed value of the block minus the mean of the quarters."""
+    the block is loose; the lower bound is then zero. error: standard error of the mixed value, from the four quarters of the block;
+    size: mixed value of the block minus the mean of the quarters; both None for conductivities, or if the quarters are too small."""
 
     unit: str
     bulk: float

@@ -49,11 +49,11 @@ WORDS = {"across": "across the coating", "in_plane": "in the plane", "adhesion":
 class Pull:
     """Result of a tensile test of a block, until it parts or has the strain MOST, or a tetrahedron inverts after the peak.
 
-    film: strength times thickness of the oxide film over its central value, None if bonds of the run never break; strength: greatest
-    force over the area of the block, pores included; strain: strain at this force; has_parted: whether the block has parted;
-    at_substrate: of the bonded area that has lost more than half of its strength, the share at the substrate; brittle: share of the
-    bonds in the work of bonds and plastic flow; energy_error: largest error of the energy balance, relative to the whole work; rows:
-    stress and energies against strain; opened: points, facets of the joints, and "damage" (1: broken) and "was_bonded" of each facet.
+    film: strength times thickness of the oxide film, over the central value of this product, None if bonds of the run never break;
+    strength: greatest force over the area of the block, pores included; strain: strain at this force; has_parted: whether the block has
+    parted; at_substrate: of the bonded area that has lost more than half its strength, the share at the substrate; brittle: share of
+    the bonds in the work of bonds and plastic flow; energy_error: largest error of the energy balance over all work; rows: stress and
+    energies against strain; opened: points, facets of joints, "damage" (1: broken) and "was_bonded" of each facet.
     """
 
     direction: str
@@ -74,7 +74,7 @@ def strengths(
 ) -> list[Pull]:  # fmt: skip
     """Pull the block of a run (`measure.properties`) in each direction (of AXES), with each film (`Pull.film`). Direction "adhesion":
     across a block that includes the substrate, down to two elements below the lowest splat. The energy of a bond is proportional to
-    the film. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit of plastic
+    `film`. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit of plastic
     flow between the pores. Raises StoreError, as `properties` or without bond strengths, and SolverError, as `pull`."""
     plan, splats, metals = cold_coating(result)
     data, law = splats.mesh.data, None
@@ -102,8 +102,8 @@ def strengths(
 def pull(
     block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
 ) -> Pull:  # fmt: skip
-    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground:
-    number of the first bodies that are the substrate and its layers. Raises SolverError if a tetrahedron inverts before the peak."""
+    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground: the
+    first `ground` bodies are the substrate and its layers. Raises SolverError if a tetrahedron inverts before the peak."""
     machine, greatest = Machine(block, laws, eps_p, T, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
@@ -188,8 +188,8 @@ class Machine:
 
 
 def _turning(bond: Bond, x: NDArray) -> Bond:
-    """Bonds whose weights are upper bounds of the motion of the bonded point for a unit motion of each corner. The turn of the facet
-    adds gap / height of the facet at this corner. The height is small where a face of the block cuts the facet. x (n,3) m."""
+    """The bonds with new weights: upper bounds of the motion of the bonded point per unit motion of each corner of the facet. A corner
+    turns the facet; this adds gap / height of the facet at this corner. Facets cut by the block's faces can be low. x (n,3) m."""
     corners = x[bond.triangles]
     opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)
     twice = 2.0 * np.linalg.norm(area_vectors(x, bond.triangles), axis=1)[:, None]

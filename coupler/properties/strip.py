@@ -94,9 +94,9 @@ class Strip:
 
 def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float | None = None) -> Strip:
     """A strip of a run's substrate metal, `thickness` m, with the run's coating above z = 0 in slices half an element high. A slice
-    has its in-plane stress times its share of metal, and the in-plane modulus of `of` times min(share / `of.solid`, 1). sprayed_at:
-    temperature (K) of strip and coating after the last layer, from which both cool to ambient; None: no such cooling. Raises
-    StoreError without a coating above z = 0."""
+    arrives with the in-plane stress of its metal times its share of metal. Its modulus is the in-plane one of `of` times min(share /
+    `of.solid`, 1). sprayed_at: temperature (K) of strip and coating after the last layer, from which both cool to ambient; None: no
+    such cooling. Raises StoreError without a coating above z = 0."""
     plan, splats = read_plan(result.directory), read(result)
     step, radius = 0.5 * splats.element_size, disc_radius(splats)
     rows = [row for row in reversed(over_depth(splats, radius, step)) if row["z_m"] > 0.0]
@@ -119,10 +119,10 @@ def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float
 
 
 def write(strip: Strip, length: float, folder: Path, about: str) -> None:
-    """Write NAMES. csv: a row for each slice, z above the surface of the strip. inp: a quarter of the flat strip, `length` m long and a
-    third as wide, with the stress that it has while it is clamped flat: bricks C3D8I. In the static step it is free, and
-    bends. The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of
-    elements, six components; Abaqus Keywords Reference, *INITIAL CONDITIONS). All other lines are the same in both. SI units."""
+    """Write NAMES. csv: a row for each slice, z above the surface of the strip. inp: a quarter, of bricks C3D8I, of a flat strip that
+    is `length` m long and a third as wide, with the stress of the strip clamped flat. In the static step the strip is free and bends.
+    The initial stress is in the form of CalculiX (element, point, six components); comment lines give that of Abaqus (set of elements,
+    six components; Abaqus Keywords Reference, *INITIAL CONDITIONS). All other lines are the same in both. SI units."""
     (residual, flat, _), z = strip.residual(), strip.middle - strip.height[: strip.below].sum()
     columns = {
         "z_m": z, "height_m": strip.height, "E_Pa": strip.modulus, "nu": strip.nu, "arriving_Pa": strip.arriving,

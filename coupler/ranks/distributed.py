@@ -16,8 +16,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class ParticleState:
-    """State of the whole particle. whole: all points as on a single rank, in the order in which they were given. totals: sums over
-    all ranks."""
+    """State of the whole particle. whole: all points as on one rank, in the given order. totals: sums and extremes of all points."""
 
     whole: LocalState
     totals: PointTotals
@@ -104,8 +103,8 @@ class DistributedParticle:
         return self.whole("stress")
 
     def carried(self) -> dict[str, np.ndarray]:
-        """State of the metal at the points, which a mesh of their current positions inherits: arrays (n, ...) by name
-        (`physics.metal`)."""
+        """State of the metal at the points: arrays (n, ...) by name (`physics.metal`). A mesh of the points in their current positions
+        inherits it."""
         return self._all(self.ask("carried"))
 
     def warm(self, heat: np.ndarray) -> None:
@@ -121,7 +120,7 @@ class DistributedParticle:
         return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), self.totals)
 
     def restore(self, state: ParticleState) -> None:
-        """Set the particle to a state, directly after it has been distributed. The number of ranks may differ from that of the run that
+        """Set the particle, which must be newly distributed, to a state. The number of ranks may differ from that of the run that
         saved the state. Raises CheckpointError if the state does not fit."""
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.steps, self.dt = state.whole.steps, state.whole.dt
@@ -135,8 +134,8 @@ class DistributedParticle:
     def run(
         self, steps: int, dt: float, begin: Callable[[], None], meet: Callable[[], None], needed: np.ndarray | None
     ) -> None:
-        """Make `steps` steps of dt seconds. In each step begin(), which needs no data of the particle, is called first. Then x and v of
-        the points `needed` (k,) are updated to n+1, and meet() computes f_ext. needed: None for all points.
+        """Make `steps` steps of dt seconds. Each step from n to n+1 calls begin(), which needs no data of the particle, then meet(),
+        which computes f_ext. In meet(), the points `needed` (k,) have x at n+1 and v at n+1/2. needed: indices; None for all points.
 
         Raises the error of one of these functions or of a rank, after all ranks have ended the chunk.
         """
@@ -195,7 +194,7 @@ class DistributedParticle:
                 raise answer
 
     def idle(self, loop: float) -> list[float]:
-        """Time, for each rank, that it has waited for others in steps, divided by the time `loop` (s). Empty in one process."""
+        """Share of the wall time `loop` (s) in which each rank waited for others in steps, by rank. Empty in one process."""
         waited = [] if self.local is not None else [*self.ask("waiting"), self.waited]
         return [seconds / loop for seconds in waited]
 

@@ -54,7 +54,7 @@ def animate(
 
 
 def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
-    """The pictures (rows, columns, 3), of one size; rows and columns are even, as a video requires. told(text): called for each one."""
+    """The pictures (rows, columns, 3), of one size; rows and columns are even, as in a video. told: gets "picture 1 of 9" and so on."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     sections = [cross_section(result, step, (field,), at, seen, PIXELS) for step in steps]
@@ -69,7 +69,7 @@ def frames(result: Result, field: str, told: Callable[[str], None] = lambda text
 
 
 def ffmpeg() -> str | None:
-    """The ffmpeg program of the system, or that of the optional package imageio-ffmpeg; None if neither is installed."""
+    """Path of the ffmpeg program: of the system, else of the optional package imageio-ffmpeg; None if neither is installed."""
     try:
         import imageio_ffmpeg
 

@@ -45,8 +45,8 @@ MOMENT = 1e-13  # s: invisible on the page, but more than the rounding of times
 
 
 def energy(history: History) -> Figure | None:
-    """The terms of the energy ledger against time, as stacked areas in % of the kinetic energy of each particle; None if the history
-    lacks the columns. "other" is the part of the recorded total that is in no column."""
+    """The terms of the energy ledger against time, as stacked areas in % of the kinetic energy at the start of each impact; None
+    if the history is empty or lacks the columns. "other": total energy according to the column `drift`, minus the sum of the terms."""
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
     history, starts = _apart(history)
@@ -70,7 +70,7 @@ def energy(history: History) -> Figure | None:
 
 
 def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
-    """The history with two rows of NaN between impacts, as a gap in each curve, and the index of the first row of each impact."""
+    """The history with two new rows between impacts, NaN except for the time; and the new index of the first row of each impact."""
     time = history["time"]
     firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
     apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
@@ -92,7 +92,7 @@ def over_time(history: History, name: str) -> Figure | None:
 
 
 def compared(histories: Mapping[str, History], column: str, label: str, factor: float) -> Figure | None:
-    """One column against time for all runs that have it; None if no run has it. histories: history of each run by its name."""
+    """A column times `factor` against time, for all runs that have it; None if none has. histories: by run name; label: of the axis."""
     traces = []
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
@@ -113,7 +113,7 @@ def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
 def with_depth(
     profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
-    """A field in vertical profiles at several times, depth downwards; None without it. span: least and greatest depth to show, um."""
+    """Field `name` times `factor` over depth, a curve for each time; None if no profile has it. span: depths to show (from, to), um."""
     traces = []
     for time, colour in shades(profile.time for profile in profiles).items():
         own = [(p, p.values[name] * factor) for p in profiles if p.time == time and name in p.values]
@@ -157,7 +157,7 @@ def _deep(traces: Sequence[Trace], label: str, span: tuple[float, float], legend
 
 
 def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
-    """An axis that covers the values `key` of all traces, with a margin."""
+    """An axis that covers the values of all traces along `key` ("x" or "y"), with a margin."""
     values = [v for t in traces for v in t[key] if v is not None]  # type: ignore[attr-defined]
     low, high = min(values, default=0.0), max(values, default=1.0)
     room = 0.04 * (high - low) or abs(0.04 * high) or 1.0

@@ -27,7 +27,7 @@ CURVES = (
 
 
 def names_of(results: Sequence[Result]) -> list[str]:
-    """A short name for each run: the last parts of its folder's path that differ from the others."""
+    """A short name for each run: the last parts of the path of its folder, as few as make all names different."""
     folders = [result.directory.resolve().parts for result in results]
     each = (["/".join(folder[-length:]) for folder in folders] for length in range(1, max(map(len, folders)) + 1))
     return next(names for names in each if len(set(names)) == len(set(folders)))

@@ -20,7 +20,7 @@ LETTER = 0.6  # greatest mean width of a letter over the size of its font
 
 
 def fitted(words: str, length: float) -> tuple[str, float]:
-    """Text in as few lines as fit into a length (inches) at a readable font size. Returns also the font size, points."""
+    """Break a text into the fewest lines that fit into a length (inches) at a readable font size. Returns text and size (points)."""
     label, size = words, 0.0
     for width in sorted({len(words), *(i for i, letter in enumerate(words) if letter == " ")}, reverse=True):
         lines = textwrap.wrap(words, width, break_long_words=False)

@@ -13,7 +13,7 @@ _DPI = 72  # a picture of about 100 kB
 
 
 def html(result: Result) -> str:
-    """The HTML of a result. It raises no Exception: if something is missing or damaged, a text names it in its place."""
+    """The HTML of a result. It raises no Exception: a message takes the place of a part that is missing or damaged."""
     parts = []
     for name, part in (("measures", _measures), ("section", _section)):
         try:

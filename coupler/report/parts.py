@@ -129,7 +129,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 
 def properties(result: Result) -> str:
-    """The effective properties of the coating, from the file of `coldspray properties`; "" without it. Raises StoreError."""
+    """Effective properties of the coating, from `properties.json`; "" if there is no such file. Raises StoreError if it is damaged."""
     path = result.directory / "properties" / "properties.json"
     if not path.is_file():
         return ""

@@ -52,7 +52,7 @@ def phases_of(plan: Values) -> Phases | None:
 
 
 def colour_of(phase: int, bright: float = BRIGHT) -> tuple[float, float, float]:
-    """Colour of a material, by its index. bright: brightness."""
+    """Colour of a material by its index: red, green, blue, 0 to 1. bright: factor on the values of PHASES."""
     red, green, blue = np.minimum(bright * PHASES[phase % len(PHASES)], 1.0).tolist()
     return red, green, blue
 

@@ -66,12 +66,12 @@ class Stage:
 
 @dataclass(frozen=True)
 class CrossSection:
-    """The cross-section at one time. Lengths in um, values in the units of `FIELDS`.
+    """The cross-section at one time. Lengths in um, points as (x, z), values in the units of `FIELDS`.
 
     time: s; level, ground: as in `Stage`; view: extent of the picture; loops: outlines of the particle, (k, 2) each; corners
     (q, 4, 2): polygons of the target; rim (r, 2, 2): lines of the surfaces of substrate and splats; is_substrate (r,): lines of the
     substrate, all False without splats; values: field -> values at the corners, (q, 4); images: field -> pixels of the
-    particle over `extent`; phases: names of the materials by the values of PHASE; empty if all particles are of one material.
+    particle; extent: of the images; phases: names of the materials by the values of PHASE; empty if all particles are of one material.
     """
 
     time: float
@@ -131,8 +131,8 @@ def _best_plane(plan: Values, first: float) -> float:
 
 
 def view(result: Result, steps: Iterable[int], at: Stage) -> View:
-    """Extent of a picture, um. It includes particle, splats and jets at all given steps, with a margin. A particle that flies away
-    enlarges the picture at most up to FAR diameters above the highest part of the target."""
+    """Left, right, bottom and top of a picture, um. The picture includes particle, splats and jets at all given steps, with a margin. A
+    particle that flies away enlarges the picture at most up to FAR diameters above the highest part of the target."""
     ends, D = [], at.diameter
     for step in steps:
         skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
@@ -377,8 +377,8 @@ def panels(section: CrossSection, ranges: Mapping[str, Range], heading: str) -> 
 
 
 def section_picture(result: Result, path: str | Path | None = None, step: int = -1) -> Path:
-    """Draw the cross-section through the middle of particle and target, by temperature and by plastic strain, and by material if the
-    particles are of several. path: PNG file, default `section.png` in the folder of the run. step: stored step, -1 is the last. Returns
+    """Draw the cross-section of particle and target, coloured by temperature and by plastic strain, and by material if the particles
+    are of several. path: PNG file, default `section.png` in the folder of the run. step: stored step, -1 is the last. Returns
     the path. Raises StoreError if data are missing or the picture cannot be written."""
     path = Path(path) if path is not None else result.directory / "section.png"
     save(section_figure(result, step), path)

@@ -27,9 +27,9 @@ class Profile:
 
 
 def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: float) -> list[Profile]:
-    """Profiles through splat and substrate at a stored step; NaN where the splat is hollow. names: names of the fields; if a body
-    lacks a field, it has no values for this field. at: gives the undeformed surface and the size of a void. reach: greatest depth, m.
-    Raises StoreError if a file is missing or damaged."""
+    """Profiles in particle and target at a stored step, from the top down, along the vertical through the middle of the particle; NaN
+    where the particle is hollow. names: fields; a body without a field has no values for it. at: gives the undeformed surface and the
+    size of a void. reach: greatest depth, m. Raises StoreError if a file is missing or damaged."""
     level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))

@@ -39,8 +39,9 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
 
     `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: a z below the particle at all times (um);
     `fields`: the fields with colours and ranges; `triangles`: sets of index triplets, which frames share; `frames`: for each time
-    the meshes "target", "particle", "target section" and "particle section", each with the index of its set of triangles, its points
-    (in a box three times as large, with the same centre) and values; and `lines`: x and z (um) of the outlines of the cross-section.
+    `lines` (x and z of the outlines of the cross-section, um) and the meshes "target", "particle", "target section" and "particle
+    section", each with the index of its set of triangles, points and values. Points and values are integers 0 to TOP, in base64.
+    For points, this range spans a box three times as large as `box`, with the same centre; for values, the range of the field.
     """
     seen = view(result, steps, at)
     box = _box([result.fields(step, "surface").points * MICRO for step in steps], seen[3], at)
@@ -145,8 +146,8 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
 
 
 def _particle_section(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
-    """The cross-section of the particle: triangles between its outlines `loops` (um) and a grid inside, without voids. points: m;
-    cloud: field -> values at points."""
+    """The cross-section of the particle as triangles, none in voids. Their corners are the points of its outlines `loops` (um) and of a
+    grid inside. points: m; cloud: field -> values at points."""
     if not loops:
         return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
 

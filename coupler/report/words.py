@@ -157,7 +157,7 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
 
 
 def _bonded(record: Block) -> str:
-    """Text: the bonded area of an impact, as in "; bonded area 120 µm², 98.7 µm² at the end"; "" if bonds are not computed."""
+    """Text: area that bonded in an impact, and bonded area at its end: "; bonded area 120 µm², 98 µm² at the end"; "" without bonds."""
     first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
     if first is None:
         return ""
@@ -205,7 +205,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
 
 
 def alerts(summary: Summary) -> list[str]:
-    """List of the first warning of the run if the numerical dissipation of an impact exceeds DISSIPATION_LIMIT; otherwise empty."""
+    """[first warning of the run] if the numerical dissipation of an impact exceeds DISSIPATION_LIMIT; otherwise []."""
     warnings = summary["run"].get("warnings") if summary else None
     shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
     doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)
@@ -296,7 +296,7 @@ _SHAPES = {"sphere": "", "hollow_sphere": "hollow sphere", "file": ""}
 
 
 def span(values: Sequence[float]) -> str:
-    """Positive numbers as short text without repetition: "500", "500, 546, 610" or "18.4 to 26.9"."""
+    """Numbers from 0 up as short text, equal ones once: "500, 546, 610"; if more than NAMED, least and greatest: "18.4 to 26.9"."""
 
     def text(value: float) -> str:
         return f"{value:.0f}" if value >= 100 or value < 1e-3 else f"{value:.3g}"

@@ -54,8 +54,8 @@ class Feedstock(Section):
     """A powder as it is fed, in a coating or a job. SI units.
 
     sizes: by mass. shapes: fraction by number of each shape; shapes other than spheres have a random tilt. files: pattern of names of
-    files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa): as in `Particle`; porosity,
-    pore_diameter (m) and core too.
+    files with shapes, of equal frequency, instead of `shapes`. hardness, yield_strength (Pa),
+    porosity, pore_diameter (m), core: as in `Particle`.
     """
 
     material: str
@@ -133,7 +133,7 @@ class Coating(PowderTable):
     """Random particles from a seed, instead of [[particle]] tables (`coupler.plan.coating`). SI units.
 
     number: number of particles, the same in each of `layers`; radius (m): radius of the disc about the axis for their centres;
-    positions: "random", or "even" (far from the other positions of the layer). powder: tables [[coating.powder]] of a blend; their
+    positions: "random", or "even" (far from the other positions of the pass). powder: tables [[coating.powder]] of a blend; their
     default values are those of [coating].
     """
 

@@ -42,7 +42,7 @@ class Slope(Straight):
 
 class HeightMap(Section):
     """Heights in a file (`coupler.plan.ground`). Their middle is put on the axis, their mean on z = 0. unit: length (m) of one unit of
-    x and y, such as the pitch of pixels; height (m): of one unit of the values, default `unit`, or of white over black."""
+    x and y, such as the pitch of pixels; height (m): of one unit of the values, default `unit`; for an image, of white above black."""
 
     file: str
     unit: Annotated[float, Quantity("um", "0.0001 um", "1 m")] = 1e-6

@@ -81,7 +81,7 @@ def _described(key: str, entry: dict[str, Any]) -> None:
 
 
 def _draft_4(node: Any) -> Any:
-    """Convert a part of a schema from Draft 2020-12 to Draft 4. Defaults have units. Null is removed, because TOML does not have it."""
+    """Convert a part of a schema from Draft 2020-12 to Draft 4. Defaults with a unit become texts. Null is removed; TOML lacks it."""
     if isinstance(node, list):
         return [_draft_4(item) for item in node]
     if not isinstance(node, dict):

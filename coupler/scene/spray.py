@@ -76,7 +76,7 @@ class GunPath(Section):
 class Spray(GunPath):
     """The spray, which gives the time between impacts. SI units.
 
-    efficiency: fraction of the powder that the particles of the scene represent. heat_transfer: coefficient of the jet on the surface
+    efficiency: share of the feed rate that the particles of the scene represent. heat_transfer: coefficient of the jet on the surface
     between impacts, W/(m2 K), by default none; gas_temperature (K): temperature of the jet on the surface, by default the total
     temperature of [gas].
     """

@@ -137,7 +137,7 @@ class PairTable(Section):
 class AdhesionTable(Section):
     """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Strengths in Pa, energies in J/m2; threshold: a pressure (Pa), a strain
     or a ratio, depending on the criterion. Without kind and criterion the kind is "tied" and the criterion "velocity". But the kind is
-    "none" on a polymer, if no particle is of metal, or if one of these metals has no tensile strength."""
+    "none" on a polymer, if no particle is of metal, or if the metal of a particle has no sigma_TS."""
 
     kind: Kind | None = None
     criterion: Criterion | None = None

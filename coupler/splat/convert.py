@@ -23,8 +23,8 @@ MIN_TETS = 40  # approximate smallest number of elements of a fragment: its elem
 def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
-    method: "carried" uses the carried surface, "density" the density of the points; "auto" uses the carried surface if there is one,
-    and the density if there is none or it cannot be filled. Raises SplatError if the cloud cannot be meshed.
+    method: "carried" uses the carried surface, "density" the density of the points; "auto" tries the carried surface first, if
+    there is one, and then the density. Raises SplatError if the cloud cannot be meshed.
     """
     if method not in METHODS:
         raise SplatError(f"unknown method {method!r}: choose one of {', '.join(METHODS)}")

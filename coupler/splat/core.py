@@ -21,7 +21,7 @@ LEVELS = 12  # of the bisection: the volume changes by whole tetrahedra
 def parts_of(cloud: Cloud, points: Floats, tets: Ints) -> Iterator[tuple[bool, Ints, Floats, Ints]]:
     """Yield shell and core of a mesh: whether the part is the core, its points (p,) of the cloud, nodes (n,3) m, tetrahedra (m,4).
 
-    There is only one part if shell or core has fewer than MIN_POINTS points (the larger one), or the core has no tetrahedra (shell).
+    If shell or core has fewer than MIN_POINTS points, the whole mesh is the larger one; if the core has no tetrahedra, the shell.
     """
     everyone = np.arange(len(cloud.x))
     if cloud.core is None or min(cloud.core.sum(), (~cloud.core).sum()) < MIN_POINTS:

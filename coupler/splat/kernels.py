@@ -13,7 +13,7 @@ def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: 
 
     vertices (k,3) m; triangles (m,3): normals outwards; corner (3,) m: corner of the first cell; h m: edge of the cells. Along the
     line of cells through each (x, y) a downward facing triangle is an entry, an upward facing one an exit. If the line meets an edge,
-    only one of the edge's two triangles counts: for both, the side of the line is computed from the vertex with the smaller index.
+    only one of the edge's two triangles counts: both compute from the same vertex, that of smaller index, where the line lies.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)

@@ -44,12 +44,12 @@ class Fit:
 
 
 def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """v plus the rigid motion (n,3) that makes the momentum P (3,) kg m/s, and the angular momentum about the origin L (3,) kg m2/s."""
+    """v (n,3) plus the rigid motion with which the momentum is P (3,) kg m/s, the angular momentum about the origin L (3,) kg m2/s."""
     return v + rigid(x, mass, P - mass @ v, L - mass @ np.cross(x, v))
 
 
 def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Velocities (n,3) of the rigid motion with the momenta P and L of `with_momentum`."""
+    """Velocities (n,3) m/s of the rigid motion that has the momentum P and, about the origin, the angular momentum L."""
     centre = mass @ x / mass.sum()
     r = x - centre
     inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)

@@ -20,8 +20,8 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of_diameters(cls, *known: float) -> "Sizes":
-        """The distribution with the diameters D10, D50 and D90 by mass (m), or between two sieve sizes (m). The mass fraction SIEVED
-        lies below the smaller sieve size, and the same fraction above the larger one."""
+        """The size distribution for known diameters, m: D10, D50 and D90 by mass, or two sieve sizes. In the second case the mass
+        fraction SIEVED lies below the smaller sieve size, and the same fraction above the larger one."""
         return cls((SIEVED, 1.0 - SIEVED) if len(known) == 2 else (0.1, 0.5, 0.9), known)
 
     @classmethod

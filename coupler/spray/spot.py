@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spot:
-    """Rings of constant mass flow. radius (n + 1,): radii of their edges, m, the first is 0; flow (n,) 1/m2: mass flow density of
-    each ring divided by the total mass flow."""
+    """Rings, each with a constant mass flow density. radius (n + 1,): radii of the edges of the rings, m, the first is 0; flow (n,)
+    1/m2: mass flow density of each ring divided by the total mass flow."""
 
     radius: Array
     flow: Array
@@ -39,8 +39,8 @@ class Spot:
         return float(self.radius[-1])
 
     def across(self, x: ArrayLike) -> Array:
-        """Mass of a pass per unit of width at distances x (k,) m from the line of the gun, divided by the mass of the pass, 1/m. It is
-        the sum over rings of their flow times the length, within the ring, of a parallel to this line at the distance x."""
+        """Mass of a pass per unit of width at distances x (k,) m from the line of the gun, divided by the mass of the pass, 1/m. A
+        parallel to this line at x crosses the rings: the result is the sum of flow times length of the parallel in each ring."""
         chords = 2.0 * np.sqrt(np.maximum(self.radius**2 - np.asarray(x, np.float64)[..., None] ** 2, 0.0))
         return np.asarray(np.diff(chords) @ self.flow, np.float64)
 

@@ -55,8 +55,8 @@ class Gun:
         return 0.5 * (b[1:] + b[:-1]), np.abs(np.diff(rate) / np.diff(np.tan(b)))
 
     def spray(self, lines: Sequence[float] | Array, cells: int = CELLS, least: int = LEAST) -> tuple[Array, Array]:
-        """Heights (n,) m at x (n,) m after passes on lines at the given x (m), in their order, on a flat surface z = 0. Returns (x,
-        heights). cells: number of cells over the radius of the spot; least: least number of increments of a pass."""
+        """Positions x (n,) m of cells, and heights (n,) m there after passes over a flat surface z = 0. lines: x (m) of the passes, in
+        their order. cells: number of cells over the radius of the spot; least: least number of increments of a pass."""
         high = len(lines) * self.area * float(self.spot.across(0.0))
         room = 1.05 * self.spot.reach / math.cos(self.angle) + high * math.tan(self.angle)
         low, top = min(lines) - room, max(lines) + room
@@ -70,7 +70,8 @@ class Gun:
         return 0.5 * (edges[1:] + edges[:-1]), h
 
     def increment(self, edges: Array, h: Array, line: float, most: float) -> float:
-        """Add a share of a pass, at most `most`, to the heights h (n,) m of the cells between `edges`. Returns the share."""
+        """Add a share of a pass, at most `most`, to the heights h (n,) m of cells of equal width. Returns the share. edges (n + 1,):
+        limits of the cells in x, m; line: x of the pass, m."""
         s, density, below = self.spot.table
         dx, cos, sin = edges[1] - edges[0], math.cos(self.angle), math.sin(self.angle)
         padded = np.concatenate([h[:1], h, h[-1:]])

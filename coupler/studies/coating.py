@@ -33,8 +33,8 @@ NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses
 
 
 def read(result: Result, before: int | None = None) -> Splats:
-    """The coating of a run so far, finished or not. before: the number of an impact; the coating is that at the start of this impact.
-    Raises StoreError if no impact is finished, or the files have no field for the body of each element."""
+    """The coating of a run so far, finished or not; with `before`, the coating at the start of the impact of this number. Raises
+    StoreError if no impact is finished, or the elements have no field "impact"."""
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
@@ -106,10 +106,10 @@ class CoatingMeasures:
 
     impacts, of: numbers of finished and of planned impacts. undecided: number of undecided particles, which count as stayed in
     deposition_efficiency and as lost in least_efficiency. thickness: vertical height of the coating above the original surface of the
-    substrate; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface with craters above
-    the original one, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of the volume
-    of the coating that lies in more than one body; the porosity is too high by up to this share, because this metal is missing
-    elsewhere.
+    substrate; metal in craters below does not count; 0 without coating. height_mean_m: mean height of the surface, craters included,
+    above the original surface, as a profilometer measures it. bare_share: share of the disc without coating. overlap_share: share of
+    the volume of the coating that lies in more than one body; the porosity is too high by up to this share, because this metal is
+    missing elsewhere.
     void_limit_m: voids of a lower height are not resolved. stress_in_plane_Pa: mean of (xx + yy) / 2 over the volume of the coating in
     the disc, with its standard error (`in_plane`); in a cold coating it is the residual stress. thermal_in_plane_Pa: the part of this
     stress that changes of temperature cause. layers, depth, phases, materials: rows of the functions of these names (`per_layer`,
@@ -368,8 +368,8 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
 
 
 def growth(result: Result, radius: float | None = None) -> list[Growth]:
-    """A row (see `growth_row`) for each finished impact, at most MOST rows. radius (m): of the measured disc; default: the disc of
-    the coating."""
+    """Rows (see `growth_row`): one after each finished impact or, for more than MOST impacts, MOST evenly spread ones. radius (m):
+    radius of the measured disc; default: the disc of the coating."""
     built = read(result)
     radius = radius or disc_radius(built)
     finished = len(built.mass)

@@ -76,7 +76,7 @@ def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
 
 
 def _skins(splats: Splats) -> list[tuple[int, NDArray, NDArray]]:
-    """(impact, points, triangles) of the surface of each body: layers of the substrate (impact 0), splats, last particle of points."""
+    """(impact, points, triangles) of each surface: substrate and layers (impact 0), splats, last particle if it consists of points."""
     cells = [splats.mesh.cells[splats.body == b] for b in range(len(splats.impact))]
     skins = [(int(n), splats.mesh.points, boundary_faces(own)[0]) for n, own in zip(splats.impact, cells, strict=True)]
     return [*skins, *([(len(splats.mass), *splats.last)] if splats.last is not None else [])]
@@ -116,8 +116,8 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
 
 
 def stress_profile(measures: CoatingMeasures, path: Path) -> None:
-    """Draw the in-plane stress against height as PNG: mean, range of 5 to 95 % of the volume, and the parts from cooling and from
-    impacts."""
+    """Draw the in-plane stress against height as PNG: mean, range from the 5 % to the 95 % quantile by volume, and for a cold coating
+    the parts that cooling and impacts cause."""
     rows = measures.depth
     z, mean, low, high = (np.array(column) for column in zip(*(
         (row["z_m"] * MICRO, 0.5e-6 * (row["sigma_xx"] + row["sigma_yy"]), 1e-6 * row["sigma_p5"], 1e-6 * row["sigma_p95"])

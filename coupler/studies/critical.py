@@ -108,8 +108,7 @@ def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: 
 
 
 def bracket(verdicts: Mapping[float, str]) -> Bracket:
-    """The bracket that verdicts by velocity (m/s) show. Its upper end is the lowest velocity that sticks and is above a rebound; its
-    lower end is the highest rebound below that velocity."""
+    """The bracket (ends as in `Bracket`) that verdicts show. verdicts: velocity (m/s) -> verdict."""
     rebounds = [v for v, word in verdicts.items() if word == REBOUNDS]
     sticks = [v for v, word in verdicts.items() if word == STICKS]
     above = [v for v in sticks if not rebounds or v > min(rebounds)]
@@ -126,9 +125,9 @@ def next_velocity(
 ) -> float | None:
     """The velocity (m/s) for the next run, rounded to 1 m/s; None if the bracket is narrow enough or a limit is reached.
 
-    verdicts: velocity -> verdict; start: the first velocity, m/s; limits: limits of the search, m/s; tolerance: width of the bracket
-    divided by its middle. Undecided velocities divide the bracket; its widest part is halved. If the particle rebounds up to the
-    upper limit, the search continues below the first velocity.
+    verdicts: velocity -> verdict; start: the first velocity, m/s; limits: limits of the search, m/s. Undecided velocities divide the
+    bracket; the next velocity is the middle of its widest part. A part of 2 m/s, or of `tolerance` times its middle, is narrow enough.
+    If the particle rebounds up to the upper limit, the search continues below the first velocity.
     """
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))

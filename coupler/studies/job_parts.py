@@ -37,8 +37,8 @@ class Bonds:
 
     @property
     def velocity(self) -> float:
-        """The critical velocity, m/s: the middle of the bracket, or its only known end; infinite if the particle rebounds at all
-        velocities."""
+        """The critical velocity, m/s: the middle of the bracket; `found.high` if no rebound is known; infinite if no run shows that the
+        particle sticks."""
         return 0.5 * sum(ends(self.found))
 
     @property
@@ -69,10 +69,10 @@ class Coating:
 
 
 def search(job: Job, part: Search, out: Path, jobs: int, log: Log, more: Callable[[float], bool]) -> Bracket | None:
-    """Search the critical velocity of the median particle on a metal within the velocities of the powder (`Job.reach`). If the
-    particle sticks at all of them, continue down to the velocity from which the fastest particle would erode the surface. more: as in
-    `critical.search`. Returns None if the search ends before it is known whether all sizes stick. Raises ColdsprayError if no
-    velocity can be computed."""
+    """Search the critical velocity of the median particle on a metal within the velocities of the powder (`Job.reach`). If the particle
+    sticks at all of them, continue down to the greatest of them divided by EROSION: if it sticks even there, the fastest particle
+    erodes the surface. Returns None if the search ends before it shows a rebound or reaches the least velocity of the powder. more: as
+    in `critical.search`. Raises ColdsprayError if no velocity can be computed."""
     scene, folder = job.scene_on(part.powder, part.base, part.points, part.strength), out / part.folder
     slowest, fastest = job.reach(part.powder)
     for least in (slowest, fastest / EROSION):

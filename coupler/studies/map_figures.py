@@ -108,7 +108,7 @@ def _quality(fit: Interpolation, m: Measure) -> str:
 
 
 def by_verdict(rows: Sequence[Row], quantity: str | None = None) -> dict[str, list[Row]]:
-    """The rows for each kind of MARKERS. Rows that failed, or have no number for `quantity`, are under NO_VALUE."""
+    """The rows for each kind of MARKERS. NO_VALUE: rows that failed, are unfinished, or have no number for `quantity` (if given)."""
     kinds: dict[str, list[Row]] = {kind: [] for kind in MARKERS}
     for row in rows:
         is_over = row["status"] in ("done", "undecided") and (quantity is None or row[quantity] is not None)

@@ -295,8 +295,8 @@ def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
 
 
 def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
-    """Run a new point of the folder: the scene of the nearest finished point with the values `at` (SI) of its axes. Returns its name.
-    The ratio of target to particle diameter is kept if it is the same in all points. Raises StoreError."""
+    """Run the scene of the finished point nearest to `at` (axis -> value, SI), changed to these values. Returns the name of the new
+    point. Ratios of target size to particle diameter are kept if the same in all finished points. Raises StoreError."""
     done = [row for row in rows if row["status"] == "done"]
     spread = {axis: float(np.ptp([row[axis] for row in done])) or 1.0 for axis in at}
     near = min(done, key=lambda row: sum(abs(row[axis] - value) / spread[axis] for axis, value in at.items()))

@@ -117,7 +117,7 @@ def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
 
 
 def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
-    """The points of a folder whose results belong to another scene (TOML)."""
+    """Names of those `points` (name -> scene as TOML) for which the folder has results of another scene."""
     others = []
     for point, text in points.items():
         scene = folder / f"{point}.toml"

@@ -22,13 +22,13 @@ def flat(at: NDArray) -> NDArray:
 class Splats:
     """A coating at a stored step, or cold after the closing stage (is_cold).
 
-    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): impact from
-    which each body comes, from 1, 0 for the substrate; last: surface of the last particle, which consists of points, as (points (k,3)
-    m, triangles), None if it has rebounded; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,)
-    kg: mass of each particle; parts (n): materials of each particle, that of the shell first, with their mass fractions; planned:
-    number of impacts of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size
-    (m): element size of the splats; undecided: indices of impacts without a verdict, which count as stayed; verdicts: verdicts of the
-    finished impacts, empty while the run continues; cores: index of each body that is the core of a particle -> name of its material.
+    mesh: tetrahedra of substrate and splats; body (m,): body of each tetrahedron, 0 for the substrate; impact (bodies,): number of the
+    impact of each body, 0 for the substrate; last: surface of the last particle as (points (k,3) m, triangles), if it stays and
+    consists of points, else None; stayed (n,): share of the mass of each finished impact that is in the coating; mass (n,) kg: mass of
+    each particle; parts (n): materials of each particle, that of the shell first, with their mass fractions; planned: number of impacts
+    of the run, in `layers` layers; patch: radius of the disc on which centres of particles fall, m; element_size (m): element size of
+    the splats; undecided: indices of the undecided impacts that count as stayed; verdicts: verdicts of the finished impacts, empty
+    while the run continues; cores: index of each body that is the core of a particle -> name of its material.
     ground: heights (k,) m of the bare surface at points (k,2) m.
     """
 
@@ -160,8 +160,7 @@ class Columns:
 
 
 def roughness(z: NDArray) -> tuple[float, float]:
-    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean height.
-    The heights are from a plane parallel to the substrate. A plane fitted to a disc with few splats would remove their largest
-    steps."""
+    """Sa and Sq (ISO 25178-2), m, of heights z (k,) on an even grid: mean and root mean square of the distance from the mean height. No
+    plane is fitted and subtracted: in a disc with few splats this would remove their largest steps."""
     away = z - z.mean()
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))

@@ -27,8 +27,8 @@ OF_WIDTH = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6)  # steps over the width of one pa
 
 
 def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[str, Profile], dict[str, Any]]:
-    """Profiles (x, heights) (n,) m: "one pass" and, with `passes`, "raster"; and the contents of track.json, SI units. folder: base
-    of the names of files; tell: function that receives the name of the current work. Raises SceneError."""
+    """Profiles (x, heights) (n,) m: "one pass" and, with `passes`, "raster"; and the contents of track.json, SI units. folder: the file
+    names in the job are relative to it; tell: function that receives the name of the current work. Raises SceneError."""
     path = job.data.spray
     assert isinstance(path, TrackSpray)
     try:
@@ -58,9 +58,9 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
 
 
 def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
-    """Angles of impact (n,) rad and deposition efficiency (n,) at each, from the table or runs `path.efficiency`. Default: the formula,
-    the share of a powder that sticks on a coating of its metal if the normal velocity reaches the critical one (mean by volume): Li et
-    al. (2003), Thermal Spray 2003, ASM, 91. Raises ValueError; the message begins with the name of the field."""
+    """Angles of impact (n,), rad from the normal, and deposition efficiency (n,) at each, from the table or runs `path.efficiency`.
+    Default by formula: a particle sticks on a coating of its metal if its normal velocity is critical or higher (Li et al. (2003),
+    Thermal Spray 2003, ASM, 91); mean by volume. Raises ValueError; its message begins with the name of the field."""
     if path.efficiency is None:
         angle = np.arange(90.0)
         volume = [powder.table.share / powder.flying.rho for powder in job.powders.values()]
@@ -85,7 +85,7 @@ def efficiency_of(job: Job, path: TrackSpray, folder: Path) -> Profile:
 
 
 def _of_runs(folder: Path) -> Profile:
-    """Angles (deg) of the runs of a folder, and for each angle the share of the mass of the particles that sticks."""
+    """Angles (deg from the normal) of the runs of a folder, and for each angle the share of the mass of the particles that sticks."""
     rows = [
         (round(math.degrees(row["keys"]["particle.angle"]), 6), row["diameter_m"] ** 3, row["verdict"] == STICKS)
         for row in table(folder)

@@ -104,7 +104,7 @@ class Bodies:
 
     def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
         """Call `release_heat`. Then find the pairs that can touch before surfaces have moved `travel` m, among nodes that waves reach
-        in `time` s. by_speed: a surface slower than the fastest node moves less than `travel`."""
+        in `time` s. by_speed: reduce `travel` for surfaces that are slower than the fastest node."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.nodes.v if by_speed else None
@@ -175,16 +175,16 @@ class Bodies:
     # ---- between impacts -----------------------------------------------------------------------------------------
 
     def separate(self, which: Iterable[int]) -> None:
-        """Prepare overlapping bodies at rest for `reduce_overlap`, which pushes them apart. Only pairs with one body of `which` count.
+        """Prepare overlapping bodies at rest for `reduce_overlap`, which pushes them apart. Only pairs with a body of `which` count.
 
-        Nodes that lie in another body without a contact get one. Three kinds of bonds change:
+        A node that lies in another body without contact force gets a contact without force. Three kinds of bonds change:
 
-        - A node lies in the body to which it is bonded, but the compression of its bond is less than half of its depth: the surface has
-          folded at the bond's triangle. The bond moves to the facet through which the node has entered.
-        - A node lies deeper than PRESSED spacings in a body that has nodes bonded to the triangles around this node. These bonds could
-          hold the body there with more than the theoretical strength of the metal: they start again without force.
-        - A bond of small area, as of a node between crushed facets, is too soft to keep its node out. The stiffness of the bond is
-          increased, at most to the median of all bonds: its present force would then compress it by FOLDED spacings.
+        - A node lies in the body to which it is bonded, but its bond is compressed by less than half of the node's depth: the surface
+          has folded at the bond's triangle. The bond moves to the facet through which the node has entered.
+        - A bond joins a body to a triangle, and a corner of the triangle lies deeper than PRESSED spacings in this body. Such bonds can
+          hold the corner there with more than the theoretical strength of the metal: they start again without force.
+        - A bond has so small an area, as between crushed facets, that it is too soft to keep its node out of the body. Its stiffness is
+          increased, at most to the median of all bonds, so that its present force would compress it by FOLDED spacings.
         """
         if self.contact is None:
             return
@@ -378,7 +378,7 @@ def _check(state: BodiesState) -> None:
 
 
 def _bonded(pairs: Interface, surfaces: Surfaces, target: Target, law: Adhesion, ratio: float | None) -> np.ndarray:
-    """Mask (n,) of the nodes of an interface that meet the criterion of the scene. Of both sides the larger values count."""
+    """Mask (n,) of the nodes that meet the criterion of bonding of `law`. Strain and pressure: the larger value of the two sides."""
     strain = np.maximum(*pairs.behind(surfaces, target.elements.eps_p))
     pressure = np.maximum(*pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
     return law.bonded(len(pairs.nodes), strain, pressure, ratio)
@@ -387,7 +387,7 @@ def _bonded(pairs: Interface, surfaces: Surfaces, target: Target, law: Adhesion,
 def _continued(
     bonded: Bond, row: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
-    """Bonds at an interface (n rows) that continue the laws and the damage of the bonds `row` (n,)."""
+    """New bonds at an interface of n nodes. Bond i gets strength, energy and damage of the bond row[i] (n,) of `bonded`."""
     (strength, shear_strength), (energy, shear_energy) = bonded.strength[row].T, bonded.energy[row].T
     law = {"strength": strength, "energy": energy, "shear_strength": shear_strength, "shear_energy": shear_energy}
     bond = Bond.between(where, surfaces, x, stiffness, **law)
@@ -398,10 +398,10 @@ def _continued(
 def _covered(
     contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, near: tuple[int, ...], tolerance: float
 ) -> np.ndarray:
-    """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`). A facet is in full contact if all
-    its nodes and all nodes of its neighbours are in contact.
+    """Facets in full contact, of a body and of the earlier bodies `near` it (`earlier_neighbours`): all their nodes, and all nodes of
+    facets that share a node with them, lie within `tolerance` m of the other body.
 
-    Facets at the rim stay in the contact search: near the edge of a removed patch a point could get a wrong facet and a false depth.
+    Facets at the rim of the contact stay in the contact search: without them a point could get a wrong facet and a false depth there.
     """
     covered = []
     for side, others in ((body, None), *((b, (body,)) for b in near)):

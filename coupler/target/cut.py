@@ -41,8 +41,8 @@ class Cut:
 
 
 def cut_out(whole: Bodies, origin: Point, radius: float) -> tuple[Bodies, Cut]:
-    """The sub-domain within `radius` m of origin (m), with its rim and with nodes and elements numbered outwards from origin; and its
-    record. In the full domain only `Bodies.release_heat` makes a change: elements receive the heat of friction and fracture."""
+    """The sub-domain, numbered outwards from origin (m), and its record. It has the elements within `radius` m of origin, a rim around
+    them, and all elements of the splats in both. The full domain changes only by the heat of `Bodies.release_heat`."""
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.nodes.x
@@ -184,7 +184,7 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
 
 
 def _replace(record: R, part: R, ids: np.ndarray, index: np.ndarray) -> None:
-    """Overwrite the rows `ids` of a record with rows of `part`. index: for each row of the part, its row in the record, -1 for none."""
+    """Overwrite each row i in `ids` of a record with the row k of `part` for which index[k] = i; -1: no row of the record."""
     row = np.full(int(index.max()) + 1, -1)
     kept = np.flatnonzero(index >= 0)
     row[index[kept]] = kept

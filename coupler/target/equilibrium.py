@@ -108,7 +108,8 @@ def _stored(bodies: Bodies) -> float:
 def _relax(
     bodies: Bodies, relaxation: Relaxation, aim: Aim, known: Known, back: tuple[np.ndarray, np.ndarray] | None
 ) -> dict[str, float]:
-    """Make steps of dynamic relaxation until the remaining energy is below aim.left, which is in J here. known, back: see `settle`."""
+    """Make steps of dynamic relaxation until the remaining energy is at most aim.left, which is in J here, or until RELAX_STEPS steps.
+    Returns the number of steps and the remaining energy (J). known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
     heat = t.elements.heat[:m].copy()
