@@ -24,7 +24,7 @@ SCHEMA = Scene.model_json_schema()
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 SAME = "as in `[particle]`"  # words of keys that share a row
 DEFAULTS = {  # numbers of the plan, in words
-    "preset": "; points: " + ", ".join(f"`{p}` {n}" for p, n in estimates.PRESETS.items()),
+    "preset": "; points of the largest particle: " + ", ".join(f"`{p}` {n}" for p, n in estimates.PRESETS.items()),
     "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, else the whole target",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
@@ -40,7 +40,7 @@ def page() -> str:
 <!-- written by workflows/scene_page.py from the tables of coupler/scene and words.toml: change those -->
 
 A scene is a TOML file. Values with a unit are texts, `"25 um"`, in any unit of the same dimension. The `scene.toml` of a run
-holds every default written out.
+also has the defaults.
 
 Units: {"; ".join(known)}.
 """
@@ -57,9 +57,10 @@ Units: {"; ".join(known)}.
         if same := [f"`{key}`" for key in table["properties"] if words(f"{name}.{key}") == SAME]:
             lines.append(f"| {', '.join(same)} | | | {SAME} |")
         lines.append("")
-    own = "A material of your own, or one of the library (`coldspray materials`) with other numbers."
+    own = "A material of your own, or one of the library (`coldspray materials`) with other numbers, which needs only these."
     lines += ["## `[materials.NAME]`", "", own, "", "```toml", *words("material.example").splitlines(), "```", "",
-              *_plain(materials.Material, materials.DEFAULTS, lambda k: materials.UNITS.get(k, "")), *_laws()]  # fmt: skip
+              *_plain(materials.Material, materials.DEFAULTS | {"strength": ""}, lambda k: materials.UNITS.get(k, "")),
+              *_laws()]  # fmt: skip
     own = "A nozzle of your own, beside those of the library (`coldspray nozzles`)."
     lines += ["## `[nozzles.NAME]`", "", own, "",
               *_plain(nozzles.Nozzle, nozzles._DEFAULTS, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip

@@ -40,8 +40,8 @@ CHECKS = f"""A scene passes if an independent check of its files (`workflows/ver
 - no cooling by more than {verify.UNDERSHOOT:.1%} of the highest rise of temperature;
 - measures of the summary equal to those of the fields.
 
-It is *warned* if the run leaves the range of its models: melting, fitted strain rates, numerical dissipation above
-{verify.DISSIPATION:.0%}.
+It is *warned* if a metal exceeds 0.9 of its melting point, numerical dissipation exceeds {verify.DISSIPATION:.0%}, or the summary gives
+no value for a measure.
 """.replace("%", " %")
 
 

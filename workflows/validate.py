@@ -33,7 +33,8 @@ SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
 SPREAD = {"A": (413, 483, 553), "B": (398, 459, 520)}
 DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500, 625, 750, 875, 1000, 1125, 1250)
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
-# Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
+# Scatter of case D: number of runs beside that of the mean velocities;
+# mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
 SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
 STRAINED = 0.2  # plastic strain: the table has the greatest distance from the axis of an element that reaches it
 Case = tuple[str, Scene]  # a run: its key in the tables, its scene

@@ -191,7 +191,9 @@ LAWS: dict[str, Law] = {
             "s_0": Parameter("", 1e-5, 1.0, None, "saturation stress at 0 K / (2 G)"),
             "s_inf": Parameter("", 1e-6, 1.0, None, "saturation stress near the melting point / (2 G)"),
             "kappa": Parameter("", 0.0, 10.0, None, "thermal activation"),
-            "gamma": Parameter("", 1e-12, 1.0, None, "rate of thermal activation / xi"),
+            "gamma": Parameter(
+                "", 1e-12, 1.0, None, "rate of thermal activation / xi, the frequency of a shear wave across an atom"
+            ),
             "y_0": Parameter("", 1e-6, 1.0, None, "yield stress at 0 K / (2 G)"),
             "y_inf": Parameter("", 1e-6, 1.0, None, "yield stress near the melting point / (2 G)"),
             "y_1": Parameter("", 1e-5, 1.0, None, "yield stress between thermal activation and phonon drag"),
