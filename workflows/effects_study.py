@@ -29,7 +29,7 @@ from coupler.scene.effects import NAMES
 
 SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
 # left out only in some scenes: these effects do nothing in a single impact, or without bonds by exposure
-NEVER = ("adhesion", "cooling", GRADIENTS)
+NEVER = ("adhesion", "cooling", "recovery", GRADIENTS)
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
 Tables = dict[str, Any]
 LEAST = 0.05  # %: bars of smaller changes end here

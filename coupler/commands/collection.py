@@ -114,7 +114,8 @@ def _with_heat(name: str, values: dict[str, object]) -> tuple[dict[str, object],
     if not lacks or problems:
         return lacks | values, ""
     rho = catalogue[name].rho
-    near = min((materials.material(other) for other in materials.names()), key=lambda metal: abs(metal.rho - rho))
+    library = (materials.material(other) for other in materials.names())
+    near = min((m for m in library if not (m.is_ceramic or m.is_polymer)), key=lambda metal: abs(metal.rho - rho))
     numbers = {"cp": f"{near.cp_at(300.0):g} J/(kg K)", "k": f"{near.k_at(300.0):g} W/(m K)"}
     remark = f"{' and '.join(lacks)} from {near.name}, the metal of the library nearest in density"
     note = "; ".join(str(text) for text in (values.get("note"), remark) if text)

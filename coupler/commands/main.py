@@ -193,7 +193,7 @@ def _add_running(option: Option) -> None:
     text = "print all measures, not only those that converge with the resolution"
     option("-v", "--verbose", action="store_true", help=text)
     option("--threads", type=options.at_least_one, metavar="N",
-           help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
+           help="threads that share the work (default: by cores and number of points)")  # fmt: skip
     options.add_jobs(option, "number of simultaneous impacts, on shared threads; `check` prints the largest number")
     option("--checkpoint", type=options.seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints, s (default: 60)")  # fmt: skip

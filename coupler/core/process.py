@@ -19,7 +19,8 @@ SEARCH_AFTER = 10_000
 
 def cores() -> int:
     """Number of processors that this process may use: the limits are its affinity, its container and its Slurm job."""
-    granted = [float(len(os.sched_getaffinity(0)))]
+    affinity = getattr(os, "sched_getaffinity", None)  # macOS has none
+    granted = [float(len(affinity(0)) if affinity is not None else os.cpu_count() or 1)]
     with suppress(OSError, ValueError):
         quota, period = (CGROUP / "cpu.max").read_text().split()
         granted.append(float(quota) / float(period))

@@ -269,8 +269,10 @@ class Deposition:
 
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far. bodies: target with their splats."""
-        joined = list(zip(self.plan.impacts, self.records, self.joins, strict=False))
-        diameters = [impact.diameter for impact, _, _ in joined]
-        standing = splats_at_end(bodies, diameters, [record.values["surface_level_m"] for _, record, _ in joined])
+        # the report of a last impact that still consists of points has no key "elements"
+        each = zip(self.plan.impacts, self.records, self.joins, strict=False)
+        joined = [(impact, record) for impact, record, join in each if "elements" in join]
+        diameters = [impact.diameter for impact, _ in joined]
+        standing = splats_at_end(bodies, diameters, [record.values["surface_level_m"] for _, record in joined])
         wall = clock.perf_counter() - self._began
         return summary(self.plan, self.records, self.joins, standing, wall, self.options.ranks, self.closing)

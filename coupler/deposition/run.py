@@ -233,7 +233,7 @@ def _options(
     if threads is None:
         points = max(impact.points for impact in plan.impacts)
         free = cores() // ranks.size
-        if plan.companions and (points <= FEW_POINTS or free > 2):
+        if plan.companions and ranks.size == 1 and (points <= FEW_POINTS or free > 2):
             free -= 1  # for the coarser runs
         threads = max(min(free, points // POINTS_OF_THREAD), 1)
     asked["jobs"] = max(min(jobs, len(plan.impacts)), 1)

@@ -57,7 +57,7 @@ class PairFormula:
     evaluated for both metals, at the temperature and diameter of the particle, and is decisive if both results agree.
 
     metal, base: names of the metals of particle and target; base "": not given. critical, base_critical (m/s): their critical
-    velocities; None: the metal has no tensile strength.
+    velocities; None: the metal is not given, is a ceramic, or its tensile strength is not known.
     """
 
     metal: str
@@ -111,9 +111,9 @@ def pair_formula(particle: Material, base: Material | None, temperature: float, 
 
 
 def clean_share(exposure: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
-    """Area fraction of clean metal between the fragments of an oxide film: c = (Y - Y') / (1 - Y'), Y = 1 - A_0 / A.
+    """Area fraction c (n,) of clean metal between the fragments of an oxide film: c = (Y - Y') / (1 - Y'), at least 0.
 
-    The brittle film stretches with the metal up to the exposure Y' (threshold) and then cracks. exposure: Y (n,).
+    exposure: Y = 1 - A_0 / A (n,), with the initial area A_0 of the surface and its area A. threshold: Y', at which the film cracks.
     """
     return np.clip((exposure - threshold) / (1.0 - threshold), 0.0, 1.0)
 
@@ -123,7 +123,7 @@ def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray
 
         f = c min((p - p_E) / sigma_0, 1),   p_E = 2 sigma_0 / sqrt(3)
 
-    Metal flows through the cracks at a pressure above p_E. Only a fraction of the opposite surface is clean metal (`ligament_bonds`).
+    Metal flows through the cracks at a pressure above p_E. `ligament_bonds` multiplies f by the clean fraction of the other surface.
     clean: c (n,), `clean_share`, the smaller value of the two surfaces; pressure: p (n,) Pa; strength: sigma_0 (n,) Pa, flow stress of
     the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: the strength grows with surface exposure and
     normal pressure; the linear form is quoted second-hand. p_E is a lower bound of plasticity theory: yield in plane strain below a
@@ -177,7 +177,7 @@ def ligament_bonds(
     of 1.6 to 6.
 
     sound: f (n,), `sound_fraction`; width: w (n,) m, `ligament_width`; opposite: c' (n,), clean fraction of the other surface;
-    strength: sigma_0 (n,) Pa; stiffness (Pa/m): of the springs; N and S are at most their traction at an opening of w c'.
+    strength: sigma_0 (n,) Pa; stiffness (Pa/m) of the springs; their traction at an opening of w c' is the upper limit of N and S.
     Returns the arguments of `contact.bond.Bond`.
     """
     welded, width = sound * opposite, width * opposite
@@ -279,7 +279,7 @@ class Adhesion:
         return self
 
     def joins(self, first: Material, second: Material) -> bool:
-        """Whether two materials can bond: metals can, a ceramic only by the law of a pair that names it."""
+        """Whether two materials can bond: a ceramic only by a law of the pair, all others by any law, also a polymer."""
         named = any(set(pair.metals) == {first.name, second.name} for pair in self.pairs)
         return named or not (first.is_ceramic or second.is_ceramic)
 
@@ -299,7 +299,7 @@ class Adhesion:
 
     @property
     def limit(self) -> float:
-        """Threshold of the criterion. The default is 1, which is meant for the velocity ratio."""
+        """Threshold of the criterion. If none is given: 1, a default that only the criterion "velocity" uses."""
         return 1.0 if self.threshold is None else self.threshold
 
     @property

@@ -112,7 +112,7 @@ class Material:
 
     @property
     def is_polymer(self) -> bool:
-        """Whether it is a polymer, on which no bonds of metals form."""
+        """Whether it is a polymer, on which metals bond only if the scene gives a law of adhesion."""
         return self.T_g is not None
 
     @property

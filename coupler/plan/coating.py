@@ -77,6 +77,8 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
         try:
             if powder.velocity is None and "gas" not in raw:
                 raise ValueError('velocity: missing; add for example velocity = "600 m/s", or a table [gas]')
+            if powder.velocity is None and powder.velocity_spread > 0.0:
+                raise ValueError("velocity_spread: has no effect on velocities from [gas]: remove it, or give velocity")
             fed.append(_fed(powder, folder, catalogue))
         except ValueError as error:
             problems.append(f"coating.powder[{i}].{error}" if table.powder else f"coating.{error}")

@@ -125,8 +125,12 @@ class Derived:
         Infinite if only the end is written."""
         if self.scene.output.at == "ends":
             return math.inf
-        outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
-        return self.scene.output.every or particle.diameter / particle.velocity / outputs
+        return self.scene.output.every or particle.diameter / particle.velocity / self.outputs_per_crossing
+
+    @property
+    def outputs_per_crossing(self) -> float:
+        """Written steps in the time D / v of an impact, by default."""
+        return min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
 
     def usual_time_of(self, particle: Particle) -> float:
         """Usual upper limit of the time of an impact, s. It is given in the scene; otherwise it is the flight time through the gap

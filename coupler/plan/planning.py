@@ -27,7 +27,7 @@ from .remarks import absorbing_distance, remarks
 from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # time constant of the strain rate's average over D / v
-# factors on the penalty stiffness of the contact; the second with bonds: the springs then store a sixth of the rebound's energy
+# factors on the penalty stiffness of the contact; the second with bonds: the springs then store a tenth of the rebound's energy
 CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 

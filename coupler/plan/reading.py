@@ -200,7 +200,8 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
     every, end = d.output_every_of(first), text_of(d.end_time_of(first), "ns")
     spacing, size = f"{text_of(d.spacing, 'um')}  (from: preset)", f"{text_of(d.element_size, 'um')}  (from: spacing)"
     kind = f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)'
-    often = {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"} if math.isfinite(every) else {}
+    share = f"diameter / velocity / {d.outputs_per_crossing:.3g}"
+    often = {"every": f"{text_of(every, 'ns')}  (from: {share}{each})"} if math.isfinite(every) else {}
     return {
         "[adhesion]": {"kind": kind, "criterion": f'"{d.adhesion_law.criterion}"  (from: kind)'},
         "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},

@@ -68,7 +68,7 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
             f"{name} is a ceramic: it makes no metallic bond without a law in [[adhesion.pair]]; its particles embed or rebound."
             " Above tensile_limit (default: that of bulk specimens) a particle breaks and is not deposited, and a core cracks"
         )
-    if base.is_polymer:
+    if base.is_polymer and scene.derived.adhesion_law.kind == "none":
         yield f"no bond of metals forms on {base.name}, a polymer: the particle stays only if the polymer holds it"
     without = [i.material.name for i in impacts if i.material.sigma_TS is None and not i.material.is_ceramic]
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none" and without and not base.is_polymer:

@@ -1,6 +1,6 @@
 """Flight of particles from the powder feed to the target, with drag and heat transfer from the gas of `coupler.spray.gas`.
 
-A particle is a single sphere of uniform temperature on the axis; docs/guide/gas.md gives the accuracy. All sizes are integrated
+A particle is a single sphere of uniform temperature on the axis; docs/evidence/gas.md gives the accuracy. All sizes are integrated
 together.
 """
 

@@ -1,7 +1,7 @@
 """The gas of cold spray: one-dimensional flow through a de Laval nozzle and a free jet to the target.
 
 The flow in the nozzle is isentropic, and sonic in the throat. Particles have no effect on it. x: position along the axis, m, 0 in the
-throat. docs/guide/gas.md lists the neglected effects and their magnitude.
+throat. docs/theory/gas.md lists the neglected effects and their magnitude.
 """
 
 import math

@@ -52,6 +52,12 @@ def test_a_row_becomes_a_metal_of_scenes(tmp_path, capsys):
     assert metal.source.startswith("Lesuer (2001)")
 
 
+def test_heat_data_of_a_metal_come_from_a_metal(tmp_path, capsys):
+    """Also if a ceramic (Al2O3, 3900 kg/m3) is nearer in density."""
+    assert imported(tmp_path, HEAD, ROW.replace("2703", "3900")) == 0
+    assert "cp and k from Ti6Al4V, the metal of the library" in capsys.readouterr().out
+
+
 def test_units_stand_in_the_head_or_follow_from_the_size(tmp_path):
     """A flow stress of some 1 MPa to 10 GPa is below 1e5 in MPa and above in Pa; a modulus likewise in GPa, MPa and Pa."""
     texts = [row for row in (ROW, ROW.replace("324,114", "3.24e8,1.14e8"), ROW.replace(",70,", ",70e9,"))]

@@ -33,6 +33,15 @@ def test_what_is_granted_counts(
     assert process.cores() == granted
 
 
+def test_a_system_without_affinity_grants_all_its_processors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As macOS."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.delenv("SLURM_CPUS_PER_TASK", raising=False)
+    monkeypatch.setattr(process, "CGROUP", tmp_path)
+    monkeypatch.setattr(os, "cpu_count", lambda: 10)
+    assert process.cores() == 10
+
+
 CYCLE = """
 from coupler.core.process import search_cycles_less
 class Cycle:

@@ -97,6 +97,9 @@ def test_gas_gives_velocity_and_temperature_by_size() -> None:
         text.replace("number = 40", "number = 4")
         + '[gas]\npressure = "23 bar"\ntemperature = "530 degC"\nnozzle = "D42PBI"\n'
     )
+    with pytest.raises(SceneError, match=r"coating\.velocity_spread: has no effect on velocities from \[gas\]"):
+        Scene.from_text(text, "coating")
+    text = text.replace('velocity_spread = "20 m/s"\n', "")
     particles = Scene.from_text(text, "coating").particles
     by_size = sorted(particles, key=lambda p: p.diameter)
     assert by_size[0].velocity > by_size[-1].velocity

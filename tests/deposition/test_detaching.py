@@ -183,6 +183,16 @@ def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
 
 
 @pytest.mark.slow
+def test_a_last_impact_that_leaves_points_has_no_shape_at_the_end(shared_run: SharedRuns) -> None:
+    """Its particle is no splat, although its impact has knocked the first splat off."""
+    s = shared_run(KNOCKED_OFF.replace('at = "cold"', 'at = "rest"')).summary
+    first, second = s["impacts"]
+    assert first["at_end"] is None
+    assert "at_end" not in second
+    assert [r["splat"] for r in s["joins"][-1]["detached"]] == [1]
+
+
+@pytest.mark.slow
 def test_it_is_off_after_a_resumption_too(knocked_off: Result, tmp_path: Path) -> None:
     """Of its bodies as they are after the first impact."""
     assert_goes_on(KNOCKED_OFF, knocked_off, tmp_path / "out", None, every=1e9)

@@ -261,3 +261,9 @@ def test_bonds_of_metals_do_not_apply_on_a_polymer() -> None:
     assert Scene.from_text(text).derived.adhesion_law.kind == "none"
     with pytest.raises(SceneError, match="PEEK is a polymer: it has no oxide film"):
         Scene.from_text(text + '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\n')
+    tied = Scene.from_text(text + '[adhesion]\nkind = "tied"\n')
+    warned = [
+        any("no bond of metals forms on PEEK" in words for words in plan(s).warnings)
+        for s in (Scene.from_text(text), tied)
+    ]
+    assert warned == [True, False]

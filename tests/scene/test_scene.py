@@ -296,6 +296,7 @@ def test_a_long_sequence_writes_no_more_than_a_scene_may():
     scene = several(*[{"diameter": "10 um"}] * 500, preset="draft", splat__element_size="2.5 um")
     assert sum(scene.derived.end_time_of(p) / scene.derived.output_every_of(p) for p in scene.particles) < 5000
     assert scene.derived.output_every_of(scene.particle) > 5 * scene_with().derived.output_every_of(scene.particle)
+    assert "(from: diameter / velocity / 2.5, of the first impact)" in scene.to_toml()
 
 
 def test_each_impact_has_its_own_times():

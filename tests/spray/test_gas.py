@@ -275,7 +275,7 @@ def test_velocities_are_those_of_alkhimovs_fit():
 
 @pytest.mark.parametrize(("exit_", "diverging"), [(3.3e-3, 0.05), (3.3e-3, 0.3), (7.1e-3, 0.05), (7.1e-3, 0.3)])
 def test_no_nozzle_spreads_sizes_more_than_a_constant_drag_coefficient_would(exit_, diverging):
-    """v of 18 over v of 25 um: (25 / 18)^0.5 at most. The reference paper's 610 / 500 = 1.22 lies beyond (docs/guide/gas.md)."""
+    """v of 18 over v of 25 um: (25 / 18)^0.5 at most. The reference paper's 610 / 500 = 1.22 lies beyond (docs/evidence/gas.md)."""
     f = flow(nozzle=dataclasses.replace(D42, exit=exit_, diverging=diverging), p0=8e5, T0=627.15)
     small, large = fly_together(f, material("Ni"), (18e-6, 25e-6))
     ratio = small.velocity / large.velocity
