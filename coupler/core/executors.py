@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from ..errors import ColdsprayError
@@ -137,7 +138,8 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         max_blocks=-(-count // at_once),
         walltime=time,
         scheduler_options="".join(f"#SBATCH --{name}={value}\n" for name, value in options.items()),
-        worker_init=f"export PATH={Path(sys.executable).parent}:$PATH PYTHONPATH={os.pathsep.join(filter(None, sys.path))}",
+        worker_init=f'export PATH={quote(str(Path(sys.executable).parent))}:"$PATH"'
+        f" PYTHONPATH={quote(os.pathsep.join(filter(None, sys.path)))}",
         exclusive=False,
         launcher=SimpleLauncher(),
     )

@@ -39,7 +39,7 @@ def read_heights(path: Path) -> Surface:
         if values.shape[1] == 3:
             return values, np.asarray(Delaunay(values[:, :2]).simplices, np.int64)
         return _of_matrix(values)
-    except (OSError, ValueError, SyntaxError, QhullError) as problem:
+    except (OSError, ValueError, SyntaxError, QhullError, Image.DecompressionBombError) as problem:
         raise InputError(path, f"cannot be read as heights: {' '.join(str(problem).split())[:200]}") from problem
 
 
@@ -58,6 +58,7 @@ def _numbers(text: str) -> NDArray[np.float64]:
 
 def _image(path: Path) -> NDArray[np.float64]:
     with Image.open(path) as image:
+        require_memory(16 * image.width * image.height, f"to read {path}")
         grey = np.asarray(image if image.mode.startswith(("I", "F")) else image.convert("L"))
     most = 1.0 if grey.dtype.kind == "f" else 255.0 if grey.dtype == np.uint8 else 65535.0
     return grey.astype(float) / most

@@ -26,16 +26,19 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
         result_file = Path(name) / "result"
         try:
             done = subprocess.run(
-                [sys.executable, "-m", __name__, str(result_file)], input=pickle.dumps(call), capture_output=True,
+                [sys.executable, "-P", "-m", __name__, str(result_file)], input=pickle.dumps(call), capture_output=True,
                 timeout=time_limit, env={**os.environ, "PYTHONPATH": paths}, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise SplatError(f"the mesher did not finish within {time_limit:g} s: try another element size") from None
         if done.returncode < 0:
             remedy = "try a larger element size, or more memory"
-            raise SplatError(f"the mesher was ended by the signal {signal.Signals(-done.returncode).name}: {remedy}")
+            number = -done.returncode
+            which = signal.Signals(number).name if number in set(signal.Signals) else str(number)
+            raise SplatError(f"the mesher was ended by the signal {which}: {remedy}")
         if done.returncode > 0:
-            raise SplatError(f"the mesher failed: {done.stderr.decode(errors='replace').strip().splitlines()[-1]}")
+            last = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise SplatError(f"the mesher failed: {last}")
         result = pickle.loads(result_file.read_bytes())
     if isinstance(result, ColdsprayError):
         raise result

@@ -32,9 +32,9 @@ class Solid:
 def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     """The solid inside a surface of points (n,3), in any unit, and triangles (m,3).
 
-    Coincident corners are merged; duplicate triangles, triangles without area and fragments are removed; triangles are oriented
-    outwards; a fine surface is decimated to MOST_TRIANGLES. A closed surface inside another is a pore. Raises SplatError if the surface
-    bounds no solid, or more than one.
+    Coincident corners are merged; duplicate triangles, triangles without area and fragments (small parts that are no pores) are
+    removed; triangles are oriented outwards; a fine surface is decimated to MOST_TRIANGLES. A closed surface inside another is a pore.
+    Raises SplatError if the surface bounds no solid, or more than one.
     """
     mesh = _mesh(points, triangles)
     mesh.merge_close_vertices(100.0 * SAME_PLACE)
@@ -46,7 +46,9 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     label, _, area = (np.asarray(values) for values in mesh.cluster_connected_triangles())
     if not len(area) or not area.sum() > 0.0:
         raise SplatError("the surface has no area: give the triangles of a closed surface")
-    mesh.remove_triangles_by_mask(area[label] <= FRAGMENT * area.sum())
+    largest, small = int(area.argmax()), np.flatnonzero(area <= FRAGMENT * area.sum()).tolist()
+    fragments = [k for k in small if not _is_pore(mesh, label, k, largest)]
+    mesh.remove_triangles_by_mask(np.isin(label, fragments).tolist())
     mesh.remove_unreferenced_vertices()
     if not mesh.is_edge_manifold():
         raise SplatError("the surface does not enclose a solid: an edge has more than two triangles")
@@ -73,6 +75,14 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
     a, b, c = (x[t[:, i]] for i in range(3))
     centre = np.einsum("ij,ij,ik->k", a, np.cross(b, c), a + b + c) / (24.0 * volume)
     return Solid((x - centre) * (np.pi / 6.0 / volume) ** (1.0 / 3.0), t)
+
+
+def _is_pore(mesh: "TriangleMesh", label: NDArray, part: int, largest: int) -> bool:
+    """Whether a part of a mesh is closed and lies inside the largest part. label (m,): part of each triangle."""
+    x, t = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+    own = t[label == part]
+    is_closed = _mesh(x, own).is_edge_manifold(allow_boundary_edges=False)
+    return is_closed and bool(RaySurface(x, t[label == largest], closed=False).inside(x[np.unique(own)]).all())
 
 
 def _with_pores(x: NDArray, t: NDArray) -> Surface:

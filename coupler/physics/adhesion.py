@@ -249,8 +249,8 @@ class Adhesion:
                 problems.append(f"{name} must be positive{', or 0 for a brittle bond' if 'energy' in name else ''}")
         if self.criterion in ("plastic_strain", "pressure") and self.threshold is None:
             problems.append(f'threshold is missing: it is needed with criterion = "{self.criterion}"')
-        if self.criterion == "exposure" and self.kind == "tied":
-            problems.append('criterion = "exposure" needs kind = "cohesive": tied bonds have no strength')
+        if self.criterion == "exposure" and self.kind != "cohesive":
+            problems.append('criterion = "exposure" needs kind = "cohesive": other bonds have no strength')
         if self.threshold is not None and self.criterion in ("all", "exposure"):
             remedy = "leave it out, or choose another criterion"
             problems.append(f'threshold has no effect with criterion = "{self.criterion}": {remedy}')
@@ -295,6 +295,8 @@ class Adhesion:
         if self.kind == "none" or self.criterion == "all":
             return np.full(nodes, self.kind != "none")
         value = {"plastic_strain": plastic_strain, "pressure": pressure, "velocity": velocity_ratio}[self.criterion]
+        if value is None:  # a ceramic has no critical velocity
+            return np.zeros(nodes, bool)
         return np.broadcast_to(np.asarray(value) >= self.limit, (nodes,)).copy()
 
     @property

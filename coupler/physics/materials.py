@@ -6,7 +6,8 @@ format.
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Annotated, NamedTuple, get_args, get_type_hints
@@ -293,6 +294,8 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
         problems.append(
             'tensile_limit: missing: a ceramic needs the tensile stress at which it breaks, as in tensile_limit = "260 MPa"'
         )
+    if not metal.is_ceramic and "tensile_limit" not in table:
+        metal = replace(metal, tensile_limit=None)
     if metal.tensile_limit is not None and not metal.is_ceramic:
         problems.append('tensile_limit has no effect on a metal: leave it out, or give kind = "ceramic"')
     if metal.nu < 0:
@@ -333,13 +336,13 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
 
 
 def from_scene(
-    tables: Mapping[str, Mapping[str, object]], strength: str = "", used: Collection[str] = ()
+    tables: Mapping[str, Mapping[str, object]], strength: str = "", used: AbstractSet[str] = frozenset()
 ) -> tuple[dict[str, Material], list[str]]:
     """The materials of the library and of a scene, by name and alias.
 
     tables: the scene's [materials.NAME] tables. A table with `base = "Ni"`, or with the name of a material of the library, starts from
-    this material; its key `strength` is the set or law to start from. strength: set or law of the metals in `used` whose tables name
-    none. Returns (materials by name, problems).
+    this material, also for its other names; its key `strength` is the set or law to start from. strength: set or law of the metals in
+    `used` whose tables name none. Returns (materials by name, problems).
     """
     known, problems = _library() | _aliases(), []
     catalogue = {name: found.material for name, found in known.items()}
@@ -349,7 +352,11 @@ def from_scene(
         if base_name is not None and (not isinstance(base_name, str) or base_name not in known):
             problems.append(f"{where}.base: {unknown(str(base_name)[:40], catalogue)}")
             continue
-        base, choice = None, table.get("strength", strength if name in used and "law" not in table else "")
+        # the table of a metal's own name counts for its other names, too
+        is_own = name in known and known[name].material.name == name
+        others = [other for other in known if is_own and known[other] is known[name] and other not in tables]
+        is_used = name in used or not used.isdisjoint(others)
+        base, choice = None, table.get("strength", strength if is_used and "law" not in table else "")
         rest = {key: value for key, value in table.items() if key not in ("base", "strength")}
         try:
             if base_name is not None:
@@ -360,7 +367,7 @@ def from_scene(
             metal = from_table(name if name in tables or base is None else base.name, rest, base)
             if base is not None and rest and "source" not in rest:
                 metal = replace(metal, source=f"{base.source}; changed in the scene: {', '.join(rest)}")
-            catalogue[name] = metal
+            catalogue |= dict.fromkeys((name, *others), metal)
         except SceneError as error:
             problems += [f"{where}: {problem}" for problem in error.problems]
         except ValueError as error:

@@ -52,10 +52,15 @@ def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]
             if not _apart(impacts[first:stop], impacts[stop]):
                 break
             stop += 1
-        cut, before_last = max(i.window for i in impacts[first:stop]), impacts[first : min(stop, len(impacts) - 1)]
-        found.append(Batch(first, stop, cut, sum((i.dwell for i in before_last), 0.0) if is_cooled else 0.0))
+        cut = max(i.window for i in impacts[first:stop])
+        found.append(Batch(first, stop, cut, pause_of(impacts, first, stop) if is_cooled else 0.0))
         first = stop
     return tuple(found)
+
+
+def pause_of(impacts: Sequence[Landing], first: int, stop: int) -> float:
+    """Sum (s) of the pauses after the impacts first to stop - 1, without one after the last of all."""
+    return sum((i.dwell for i in impacts[first : min(stop, len(impacts) - 1)]), 0.0)
 
 
 def side_by_side(impacts: Sequence[Landing]) -> list[int]:

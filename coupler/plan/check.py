@@ -87,6 +87,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     if scene.coating is None and (d.spray.passes or d.spray.angle):
         text = "spray.passes and spray.angle are for the particles of a table [coating]: give dwell and angle of each particle"
         yield ("spray.passes", "spray.angle"), text
+    if d.spray.heat_transfer and d.spray.gas_temperature is None and scene.gas is None:
+        yield ("spray.heat_transfer",), "spray.heat_transfer: needs spray.gas_temperature, or a table [gas]"
     if scene.output.at == "ends" and scene.output.every is not None:
         yield ("output.at", "output.every"), 'output.every: has no effect with output.at = "ends": remove one of them'
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
@@ -341,6 +343,8 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
         try:
             if name in catalogue and not catalogue[name].is_ceramic:
                 critical_velocity(catalogue[name], temperature)
+            elif name in catalogue and any(catalogue[name].name in pair.metals for pair in law.pairs):
+                raise ColdsprayError(f"{name} is a ceramic, and has no critical velocity: choose another criterion")
         except ColdsprayError as error:
             yield ("adhesion.criterion", f"{label}.material"), f'adhesion.criterion = "velocity": {error}'
 

@@ -70,7 +70,7 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
         raw.setdefault("particle", [dict(STAND_IN)])
         return []
     if (there := raw.get("particle")) is not None:
-        fits = isinstance(there, list) and len(there) == table.number
+        fits = len(there if isinstance(there, list) else [there]) == table.number
         return [] if fits else ["coating: the scene has both [coating] and particles: remove one of them"]
     fed, problems = list[Fed](), list[str]()
     for i, powder in enumerate(table.powders, 1):

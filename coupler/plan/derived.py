@@ -1,7 +1,7 @@
 """Numbers that follow from a scene by formulas: resolution, times, dimensions, estimated sizes."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ..errors import SceneError
@@ -100,9 +100,15 @@ class Derived:
         """The law of adhesion of splats. Raises SceneError if the table [adhesion] is wrong, which
         does not occur for a checked scene."""
         table = self.scene.adhesion.model_dump()
-        table["pairs"] = tuple(PairBond(**pair) for pair in table.pop("pair") or ())
+        catalogue = self._catalogue[0]
+
+        def named(name: str) -> str:  # a scene may have another name of the metal
+            return catalogue[name].name if name in catalogue else name
+
+        pairs = (PairBond(**pair) for pair in table.pop("pair") or ())
+        table["pairs"] = tuple(replace(p, metals=(named(p.metals[0]), named(p.metals[1]))) for p in pairs)
         if table["kind"] is None and table["criterion"] is None:
-            found = [self._catalogue[0].get(p.material) for p in self.scene.particles]
+            found = [catalogue.get(p.material) for p in self.scene.particles]
             metals = [metal for metal in found if metal is None or not metal.is_ceramic]
             is_tied = (
                 bool(metals) and not self.is_on_polymer and all(m is None or m.sigma_TS is not None for m in metals)

@@ -73,10 +73,12 @@ def numbers(
         return math.hypot(1.0, own / stress(m, T)) - 1.0
 
     def recovered(m: Material, T: float, heated: float) -> float:
-        """Fraction of the dislocations that recover in the pause. It is the larger of two values: at T (K) during the whole pause, or
-        at T + heated during the cooling time of a splat."""
+        """Fraction of the dislocations that recover. It is the largest of three values: at T (K) during the whole pause, at T + heated
+        during the cooling time of a splat, and at T during the cooling of the closing stage."""
         hot = min(impact.dwell, impact.diameter**2 / diffusivity(m, T))
-        return max(recovered_share(m, T, impact.dwell), recovered_share(m, min(T + heated, m.T_m), hot))
+        ambient, time = scene.derived.ambient, scene.end.cooling_time
+        cooling = recovered_share(m, max(T, ambient), time) if ambient is not None and time else 0.0
+        return max(recovered_share(m, T, impact.dwell), recovered_share(m, min(T + heated, m.T_m), hot), cooling)
 
     warm = of_both(lambda m, T, dT: dT / max(m.T_m - T, 1.0))
     in_target, in_particle = length(1, end_time) / size, length(0, duration) / impact.spacing

@@ -13,7 +13,7 @@ from ..physics.materials import Material
 from ..physics.shapes import Pores
 from ..scene.effects import Effects
 from ..scene.ground import Face
-from .batches import Batch, Landing, batches_of
+from .batches import Batch, Landing, batches_of, pause_of
 
 VERTICAL = (0.0, 0.0, 1.0)
 
@@ -228,13 +228,23 @@ class Plan:
 
     def batch_from(self, first: int) -> Batch | None:
         """The batch that contains impact `first`, without the impacts before it; None after the last impact."""
-        return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
+        found = next((each for each in self.batches if each.stop > first), None)
+        return None if found is None else replace(found, first=first, pause=self.pause_after(first, found.stop))
+
+    def pause_after(self, first: int, stop: int) -> float:
+        """Time (s) for heat to flow after the impacts first to stop - 1, if these are a batch; 0 after the last impact of the plan."""
+        return pause_of(self.impacts, first, stop) if self.effects.cooling else 0.0
 
     def without(self, i: int, why: str) -> "Plan":
         """The plan without impact i, which is skipped. why: reason for skipping it."""
-        impacts = (*self.impacts[:i], *self.impacts[i + 1 :])
+        impacts, gone = [*self.impacts[:i], *self.impacts[i + 1 :]], self.impacts[i]
+        if i > 0:  # its time, and the end of the pass, remain
+            before = impacts[i - 1]
+            impacts[i - 1] = replace(
+                before, dwell=before.dwell + gone.dwell, ends_pass=before.ends_pass or gone.ends_pass
+            )
         left = batches_of(impacts, self.effects.cooling)
-        return replace(self, impacts=impacts, batches=left, skipped=(*self.skipped, why))
+        return replace(self, impacts=tuple(impacts), batches=left, skipped=(*self.skipped, why))
 
     @property
     def impact(self) -> ImpactPlan:

@@ -39,7 +39,8 @@ def sizes_in(table: Table) -> Sizes:
     table.
     """
     names, share = list(table.columns), _column(table, _CUMULATIVE) or _column(table, _SHARE)
-    size = _column(table, _SIZE) or names[0]
+    sizes = [name for name in names if name != share and not any(word in name.lower() for word in _CUMULATIVE)]
+    size = next((name for name in sizes if any(word in name.lower() for word in _SIZE)), names[0])
     share = share if share and share != size else next((name for name in names if name != size), "")
     if not share:
         raise ValueError("the file needs a column with sizes and a column with volume fractions")

@@ -150,8 +150,8 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     problems += material_problems
     if scene is not None:
         problems += read_forms(scene)
-        own = {f"materials.{name}" for name in tables if name not in catalogue}
-        for fields, problem in problems_of(scene, catalogue, own):
+        absent = {f"materials.{name}" for name in tables if name not in catalogue}
+        for fields, problem in problems_of(scene, catalogue, absent):
             if not any(covers(bad, field) for bad in faulty for field in fields):
                 problems.append(problem)
     if problems or read is None:
@@ -161,6 +161,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     own |= {name for pair in read.adhesion.pair or () for name in pair.metals} | (
         {read.gas.nozzle} if read.gas else set()
     )
+    own |= {name for name in tables if any(catalogue[name] is catalogue[each] for each in own if each in catalogue)}
     read = read.model_copy(
         update={kind: {name: table for name, table in dict(read)[kind].items() if name in own} for kind in KINDS}
     )

@@ -50,6 +50,10 @@ def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
         real = f"in the spray the time between impacts is {units.rounded(scene.derived.time_between, 'ms')}"
         yield f"dwell = 0 us: each particle hits a target that the one before has heated; {real}"
+    rigid = {m.name for m in (base, *(metal for i in impacts for metal in i.materials)) if not m.Gamma0}
+    if scene.derived.ambient is not None and rigid:
+        why = "Gamma0 is 0: its volume does not change with temperature, and cooling leaves this out of the residual stresses"
+        yield f"{', '.join(sorted(rigid))}: {why}; give Gamma0 under [materials.{min(rigid)}]"
     if scene.coating is not None:
         across = 2.0 * scene.coating.radius + sum(i.diameter for i in impacts) / len(impacts)
         # volume of the particles over area of the disc

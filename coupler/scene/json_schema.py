@@ -33,7 +33,7 @@ def scene_schema() -> dict[str, Any]:
     # [coating] replaces the particles, [gas] gives their velocities, [[coating.powder]] its metals
     schema["required"] = ["substrate"]
     tables["Coating"]["required"].remove("material")
-    del tables["Share"]["required"][1:]
+    tables["Share"]["required"] = ["share"]
     tables["Particle"]["required"].remove("velocity")
     properties["particle"] |= _one_or_several("Particle", tables)
     return schema

@@ -25,7 +25,7 @@ _DERIVED = re.compile(r"^# \w+ = .*\(from: .*\)\n", re.MULTILINE)  # written by 
 def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str]]) -> str:
     """The scene as TOML with its default values. derived(heading, table): values of fields that the table does not have, by name; the
     text has them as comments."""
-    lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
+    lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {_text_of(scene.effects)}"]
     lines += [f'strength = "{scene.strength}"'] if scene.strength else []
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
     tables: list[tuple[str, Section]] = [(head, particle) for particle in scene.particles]
@@ -46,8 +46,8 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
                 lines.append(f"# {field} = {defaults[field]}")
     for kind in ("materials", "nozzles"):
         for name, fields in dict(scene)[kind].items():
-            lines += ["", f"[{kind}.{json.dumps(name)}]"]
-            lines += [f"{json.dumps(field)} = {json.dumps(value)}" for field, value in fields.items()]
+            lines += ["", f"[{kind}.{_text_of(name)}]"]
+            lines += [f"{_text_of(field)} = {_text_of(value)}" for field, value in fields.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -127,7 +127,7 @@ def set_key(table: Any, key: str, value: object) -> None:
     Raises ValueError with the reason for a key that cannot be set.
     """
     steps = _STEP.findall(key)
-    if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith(".") or steps[-1][1]:
+    if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith("."):
         raise ValueError(
             f'{key}: not a key of a scene; a key is for example particle.velocity or "particle[2].velocity"'
         )
@@ -146,8 +146,20 @@ def set_key(table: Any, key: str, value: object) -> None:
             table, at = table[at - 1], 1
         if at != 1 or not isinstance(table, dict):
             raise ValueError(f"{key}: the scene has no table {name}[{at}]" if at != 1 else f"{key}: {name} is no table")
-    name = steps[-1][0].strip('"')
-    if value is None:
+    name, number = steps[-1][0].strip('"'), int(steps[-1][1] or 0)
+    if number:  # an entry of a list, such as particle.offset[1]
+        entries = table.get(name)
+        if (
+            value is None
+            or not isinstance(entries, list)
+            or number > len(entries)
+            or isinstance(entries[number - 1], dict)
+        ):
+            raise ValueError(
+                f"{key}: not a key of a scene; a key is for example particle.velocity or particle.offset[1]"
+            )
+        table[name] = [*entries[: number - 1], value, *entries[number:]]
+    elif value is None:
         table.pop(name, None)
     else:
         table[name] = value
@@ -161,6 +173,13 @@ def _value(text: str) -> Any:
         return tomlkit.string(text)
 
 
+def _text_of(value: Any) -> str:
+    """A text, number, list or dict as a TOML value."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_text_of(name)} = {_text_of(item)}" for name, item in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)
+
+
 def _inline(table: Section) -> str:
     said = [f"{field} = {_written(table, field, value)}" for field, value in table if value is not None]
     return f"{{ {', '.join(said)} }}"
@@ -170,15 +189,15 @@ def _written(table: Section, field: str, value: Any) -> str:
     kind = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize | Quantity)), None)
     if isinstance(kind, BySize):
         pairs = [[units.show(size, "um"), units.show(number, kind.of.unit)] for size, number in value]
-        return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
+        return _text_of(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
     if isinstance(value, Section):
         return _inline(value)
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
+        return _text_of(value)
     if field in ("pair", "powder", "layer"):
         return f"[{', '.join(_inline(row) for row in value)}]"
     if field in ("offset", "sizes") and isinstance(value, tuple):
-        return json.dumps([units.show(x, "um") for x in value])
+        return _text_of([units.show(x, "um") for x in value])
     if field == "threshold" and dict(table).get("criterion") == "pressure":
-        return json.dumps(units.show(value, "MPa"))
-    return json.dumps(units.show(value, kind.unit) if kind else value)
+        return _text_of(units.show(value, "MPa"))
+    return _text_of(units.show(value, kind.unit) if kind else value)

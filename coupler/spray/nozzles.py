@@ -95,7 +95,11 @@ def from_table(name: str, table: Mapping[str, object]) -> Nozzle:
     for key, width in {"inlet": nozzle.inlet, "exit": nozzle.exit}.items():
         if width <= nozzle.throat:
             problems.append(f"{key} = {units.show(width, 'mm')}: must be wider than the throat")
-    if nozzle.injection is not None and not -nozzle.converging - nozzle.chamber <= nozzle.injection < nozzle.end:
+    inlet, room = (
+        -nozzle.converging - nozzle.chamber,
+        1e-9 * (nozzle.converging + nozzle.chamber + nozzle.end),
+    )  # for rounding
+    if nozzle.injection is not None and not inlet - room <= nozzle.injection < nozzle.end - room:
         problems.append(f"injection = {units.show(nozzle.injection, 'mm')}: lies outside the nozzle")
     records.refuse(problems, name)
     return nozzle

@@ -89,6 +89,12 @@ def test_what_is_wrong_is_said_by_field(old: str, new: str, says: str) -> None:
         Scene.from_text(COATING.replace(old, new), "coating")
 
 
+def test_a_coating_of_one_particle_is_written_out_and_read_again() -> None:
+    text = COATING.replace("number = 40", "number = 1").replace("layers = 4", "layers = 1")
+    one = Scene.from_text(text, "one")
+    assert Scene.from_text(one.to_toml(), "one").particles == one.particles
+
+
 def test_gas_gives_velocity_and_temperature_by_size() -> None:
     text = COATING.replace('velocity = [["18 um", "610 m/s"], ["25 um", "500 m/s"]]\n', "").replace(
         'temperature = "400 K"\n', ""

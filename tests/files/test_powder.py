@@ -152,6 +152,19 @@ def test_a_closed_surface_inside_another_is_a_pore() -> None:
     )
 
 
+def test_a_small_pore_is_no_fragment() -> None:
+    """A cavity of a tenth of the diameter has 1 % of the area. Open parts, and those outside, are fragments."""
+    (x, t), (hole, facing) = packing.surface(2.0, 0.15), packing.surface(0.18, 0.03)
+    apart = [np.array([0.3, 0.0, 0.0]), np.array([-0.3, 0.2, 0.0]), np.array([3.0, 0.0, 0.0])]
+    bodies = [(x, t), *((hole + at, facing) for at in apart), (hole + np.array([0.0, 0.0, 0.4]), facing[1:])]
+    starts = np.cumsum([0, *(len(points) for points, _ in bodies)])
+    solid = solid_of(
+        np.concatenate([points for points, _ in bodies]),
+        np.concatenate([triangles + start for (_, triangles), start in zip(bodies, starts, strict=False)]),
+    )
+    assert len(solid.triangles) == len(t) + 2 * len(facing)
+
+
 def test_files_of_all_kinds_and_faults_that_can_be_mended() -> None:
     x, t = packing.surface(2.0, 0.3)
     soup = x[t].reshape(-1, 3), np.arange(3 * len(t)).reshape(-1, 3)  # as in STL: no triangle shares its corners

@@ -29,6 +29,12 @@ def test_a_process_that_hangs_is_killed(monkeypatch: pytest.MonkeyPatch) -> None
     assert [process.returncode for process in started] == [-signal.SIGKILL]
 
 
+def test_files_of_the_working_folder_are_no_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "random.py").write_text("raise RuntimeError('imported')")
+    monkeypatch.chdir(tmp_path)
+    assert len(apart(partial(mesher.cylinder, 4.0, 2.0, 1.0, 1.0, 1.5), 60.0)[0]) > 10
+
+
 def test_the_message_of_gmsh_is_passed_on() -> None:
     with pytest.raises(SplatError, match=r"the mesher failed: Exception: .*size"):
         apart(partial(mesher.cylinder, 0.0, 1.0, 0.1, 0.3, 0.5), 60.0)

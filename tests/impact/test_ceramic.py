@@ -62,6 +62,13 @@ def test_only_a_law_of_its_pair_bonds_a_ceramic() -> None:
     assert law.joins(nickel, alumina)
     assert law.joins(nickel, material("Al"))
     assert not law.joins(material("Al"), alumina)
+    pair = {"metals": ["nickel", "alumina"], "strength": "50 MPa"}
+    table = {"kind": "cohesive", "strength": "100 MPa", "energy": "10 J/m2", "pair": [pair]}
+    by_other_names = scene_with(substrate__material="alumina", adhesion=table).derived.adhesion_law
+    assert by_other_names.joins(nickel, alumina)
+    assert by_other_names.between("Al2O3", "Ni").strength == 5e7
+    (told,) = problems_with(particle__material="Al2O3", adhesion=table | {"criterion": "velocity"})
+    assert "Al2O3 is a ceramic, and has no critical velocity" in told
     exposure, force = oxide_film(nickel, alumina)
     assert clean_share(np.array([0.99]), exposure) == force == 0.0
     on_ceramic = plan(scene_with(substrate__material="Al2O3"))

@@ -74,6 +74,7 @@ def test_the_law_is_what_bonds_take() -> None:
         ({"kind": "cohesive", "strength": 0.0, "energy": 1.0}, "strength must be positive"),
         ({"kind": "cohesive", "strength": 1e8, "energy": -1.0}, "or 0 for a brittle bond"),
         ({"kind": "tied", "criterion": "pressure"}, "threshold is missing"),
+        ({"kind": "none", "criterion": "exposure"}, 'exposure" needs kind = "cohesive"'),
         ({"kind": "tied", "criterion": "luck"}, "criterion: 'luck' is not one of"),
         ({"kind": "tied", "threshold": 1.0}, "threshold has no effect"),
         ({"kind": "tied", "criterion": "velocity", "threshold": float("nan")}, "positive number"),

@@ -102,6 +102,11 @@ def test_other_names_are_understood():
     assert materials.material("AISI4140") is materials.material("42CrMo4")
     assert materials.material("Nickel") is materials.material("nickel") is materials.material("Ni")
     assert materials.from_scene({})[0]["Cu"] is materials.material("OFHC_Cu")
+    changed = materials.from_scene({"OFHC_Cu": {"T_m": "1300 K"}})[0]
+    assert [changed[name].T_m for name in ("OFHC_Cu", "Cu", "copper")] == [1300.0] * 3
+    own = materials.from_scene({"OFHC_Cu": {"T_m": "1300 K"}, "Cu": {"T_m": "1200 K"}})[0]
+    assert [own[name].T_m for name in ("OFHC_Cu", "Cu", "copper")] == [1300.0, 1200.0, 1300.0]
+    assert materials.from_scene({"WC-Co": {"kind": "metal"}})[1] == []
     with pytest.raises(ColdsprayError, match='did you mean "Copper"'):
         materials.material("Coper")
 

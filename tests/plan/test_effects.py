@@ -121,6 +121,25 @@ def test_what_many_impacts_share_is_said_once() -> None:
         "note", "impact 2: rates went to 2.1e+09 1/s (and less in 2 other impacts)", "impact 2: over the rim",
         "impact 3 failed at 3 ns: a", "impact 3 failed at 4 ns: a",
     ]  # fmt: skip
+    named = [
+        f"impact {k}: particle (4340, Johnson_1983) strain rate {rate} 1/s" for k, rate in ((1, "1e+06"), (2, "3e+06"))
+    ]
+    assert merged(named) == [f"{named[1]} (and less in 1 other impact)"]
+
+
+def test_recovery_counts_the_time_of_the_closing_stage() -> None:
+    """Copper loses nearly all its dislocations in 1e5 s at 600 K."""
+    hot = {"temperature": "700 K", "material": "OFHC_Cu"}
+    end = {"at": "cold", "ambient": "600 K"}
+    with_time, without = (
+        plan(
+            several(
+                hot, hot, substrate__material="OFHC_Cu", end=end | {"cooling_time": time}, adhesion={"kind": "tied"}
+            )
+        )
+        for time in ("100000 s", "0 s")
+    )
+    assert (with_time.effects.recovery, without.effects.recovery) == (True, False)
 
 
 def test_the_percentile_of_few_values_is_not_the_largest() -> None:

@@ -215,6 +215,15 @@ def test_of_several_impacts_the_largest_number_counts():
     assert row(made, "mie_gruneisen").value == row(plan(scene_with()), "mie_gruneisen").value
 
 
+def test_the_pause_is_that_of_the_impacts_of_a_batch_and_a_skipped_one_keeps_its_time():
+    whole = plan(several(*[{"dwell": "1 ms"}] * 4))
+    times = [p.dwell for p in whole.impacts]
+    assert (whole.pause_after(0, 2), whole.pause_after(1, 4)) == (sum(times[:2]), sum(times[1:3]))
+    less = whole.without(1, "it failed")
+    assert [p.dwell for p in less.impacts] == [times[0] + times[1], *times[2:]]
+    assert sum(batch.pause for batch in less.batches) == sum(batch.pause for batch in whole.batches)
+
+
 def test_waves_and_heat_travel_through_later_impacts_too():
     one, four = plan(scene_with()), plan(several(*[{}] * 4))
     assert row(four, "absorbing_boundaries").value == pytest.approx(4 * row(one, "absorbing_boundaries").value)

@@ -13,6 +13,7 @@ from coupler import Scene
 from coupler.errors import SceneError
 from coupler.physics.materials import material, mixed
 from coupler.plan.planning import plan
+from coupler.plan.powder import sizes_of
 
 BLEND = """
 preset = "draft"
@@ -76,6 +77,13 @@ def test_sizes_by_mass_are_drawn_by_number() -> None:
     assert np.interp(0.5, below, D) == pytest.approx(math.sqrt(15e-6 * 45e-6), rel=0.05)
     assert D.min() > 14.9e-6
     assert D.max() < 45.1e-6
+
+
+def test_the_column_undersize_has_no_sizes(tmp_path: Path) -> None:
+    (tmp_path / "sizes.csv").write_text("x [um],undersize [%]\n5,2\n10,10\n20,45\n45,92\n75,100\n")
+    found = sizes_of("sizes.csv", tmp_path)
+    assert found.diameter(0.45) == pytest.approx(20e-6, rel=0.01)
+    assert found.diameter(0.92) == pytest.approx(45e-6, rel=0.01)
 
 
 def test_a_blend_that_is_written_out_is_the_same_scene(tmp_path: Path) -> None:

@@ -299,6 +299,17 @@ def test_a_long_sequence_writes_no_more_than_a_scene_may():
     assert "(from: diameter / velocity / 2.5, of the first impact)" in scene.to_toml()
 
 
+def test_a_range_of_tests_is_written_out_and_read_again():
+    own = {"base": "Ni", "fitted": {"rate": ["1e-3 1/s", "1e4 1/s"], "strain": 0.5}}
+    scene = scene_with(particle__material="Mine", materials={"Mine": own})
+    assert Scene.from_text(scene.to_toml(), scene.name) == scene
+
+
+def test_a_jet_needs_a_temperature():
+    (problem,) = problems_with(spray={"heat_transfer": "1e4 W/(m2 K)"})
+    assert problem == "spray.heat_transfer: needs spray.gas_temperature, or a table [gas]"
+
+
 def test_each_impact_has_its_own_times():
     slow, fast = (scene := several({"velocity": "250 m/s"}, {})).particles
     assert scene.derived.output_every_of(slow) == pytest.approx(2 * scene.derived.output_every_of(fast))

@@ -58,6 +58,9 @@ def test_a_chamber_heats_and_a_barrel_lengthens():
     ],
 )
 def test_a_nozzle_of_ones_own(change, says):
+    """Powder may be fed at the very inlet, although 5 mm and 9 mm add up to less than 14 mm in binary numbers."""
+    at_inlet = {"converging": "5 mm", "chamber": "9 mm", "injection": "-14 mm", "inlet": "8 mm", "throat": "2.5 mm"}
+    assert nozzles.from_table("Mine", at_inlet | {"exit": "6 mm", "diverging": "100 mm"}).injection == -14e-3
     lengths = {"inlet": "8 mm", "throat": "2.5 mm", "exit": "6 mm", "converging": "30 mm", "diverging": "100 mm"}
     assert nozzles.from_table("Mine", lengths).exit == 6e-3
     with pytest.raises(SceneError) as caught:
