@@ -180,7 +180,7 @@ class BodyContact(BodyContactState):
         belong to these surfaces."""
         put(state, self)
         self.pairs.expire()
-        self._is_new = False
+        self._is_new = not self.bonded.any()  # of a cut: its contact has not searched yet
 
     def past(self) -> ContactPast:
         """Data for the contact of another set of bodies, which continues from this contact. Call `heat` first."""

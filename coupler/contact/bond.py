@@ -214,7 +214,9 @@ class Bond:
 
     def _keep(self, which: np.ndarray) -> None:
         """Keep only the bonds that a mask (n,) selects."""
+        moved = (np.cumsum(which) - 1)[self._moved[which[self._moved]]]
         vars(self).update(vars(take(self, which)))
+        self._moved = moved
 
     def renumber(self, node: np.ndarray) -> None:
         """Change to a new numbering of the nodes. node (N,): new index of each node."""

@@ -144,6 +144,8 @@ class Deposition:
             return left
         self.options.progress.stage("heat conduction, and preparation of the next impact")
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
+        # an impact whose sub-domain meets another one belongs to the next batch
+        batch = replace(batch, stop=number, pause=self.plan.pause_after(first, number))
         whole = rest(self.plan, batch, whole, [each.task.place for each in done], kinetic_0, self.joins[-1])
         pause = self.joins[-1].get("cooling", {}).get("seconds", {})
         bodies = clock.perf_counter() - computed - sum(pause.values())  # assembly, numbering, search for overlaps
@@ -198,7 +200,7 @@ class Deposition:
         impacts, or if no impact would be left."""
         if not self._may_skip:
             raise error
-        text = f"particle {task.i + 1} of the scene's sequence was skipped: {error}"
+        text = f"particle {task.i + 1 + len(self.plan.skipped)} of the scene's sequence was skipped: {error}"
         self.options.progress.log(text)
         if task.written is not None:
             self.store.go_on(task.written, self.options.progress.log)

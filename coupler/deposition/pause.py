@@ -87,7 +87,11 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     at_first = [plan.impacts[i - 1].temperature if i else plan.target.temperature for i in bodies.impact]
     came = list(zip(metals_of(plan, bodies), at_first, strict=True))
     T_max, T_mean = float(t.elements.T.max()), float(np.average(t.elements.T, weights=t.mesh.V0))
-    shared, laws = _contraction(*came[0], ambient), np.split(t.laws, len(came))
+    laws = np.split(t.laws, len(came))
+    expands = bool(
+        laws[0]["Gamma0"][0] and laws[0]["expansion"][0]
+    )  # else heat does not change the volume of the substrate
+    shared = _contraction(*came[0], ambient) if expands else 0.0
     _contract(t, shared)
     energies = [_missing_energy(*each, ambient, law, shared) for each, law in zip(came, laws, strict=True)]
     missing = np.array(energies)[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
@@ -146,7 +150,8 @@ def _recovery(plan: Plan, bodies: Bodies) -> Callable[[float], None]:
             before, left = yields(rows), law.after(e.eps_p[rows], e.T[rows], time)
             e.eps_recovered[rows] += e.eps_p[rows] - left
             e.eps_p[rows] = left
-            e.sigma_y[rows] *= yields(rows) / before
+            # molten metal has no yield stress
+            e.sigma_y[rows] *= np.divide(yields(rows), before, out=np.ones(len(rows)), where=before > 0.0)
 
     return recover
 

@@ -91,12 +91,13 @@ def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
 
 
 def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
-    """Compute a task, or return the result in its files. An undecided impact continues; with `options.until` also one without a
-    verdict. Raises as `run_impact` and `join`."""
+    """Compute a task, or return the result in its files. An undecided impact continues; with `options.until` also the
+    last one of the plan without a verdict. Raises as `run_impact` and `join`."""
     plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
-        if kept.running is None or not (is_undecided or options.until is not None):
+        goes_on = is_undecided or (options.until is not None and i + 1 == len(plan.impacts))
+        if kept.running is None or not goes_on:
             return kept.result
     last = kept.running if kept is not None else None
     bodies = restored_target(plan, task.bodies)

@@ -440,8 +440,6 @@ def _inverted(t: Target) -> str:
     """Error message about the element of a target with the most negative volume."""
     e = int(np.argmin(t.elements.volume[: t.active_elements]))
     x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
-    body = int(t.law_of[e])  # each body has its own law; bodies after the first are splats
-    within = f", in splat{body}," if body else ""
-    remedy = "another [splat] method or a finer preset" if body else "a larger resolution.element_size"
+    remedy = "a finer preset, or a larger resolution.element_size"
     at = f"t = {t.balance.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um"
-    return f"element {e} of the target{within} inverted at {at}: try {remedy}"
+    return f"element {e} of the target inverted at {at}: try {remedy}"

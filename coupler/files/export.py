@@ -28,7 +28,7 @@ def write_fields(result: Result, folder: Path, stage: Callable[[str], None] = la
                 meshio.Mesh(fields.points, [(kind, fields.cells)], at_points, of_cells).write(part, file_format="vtu")
                 with part.open("a", encoding="utf-8") as file:
                     file.write(f"<!-- {MARK} -->\n")
-            entries.append(f'<DataSet timestep="{fields.time:.9g}" part="0" file={quoteattr(name)}/>\n')
+            entries.append(f'<DataSet timestep="{fields.time!r}" part="0" file={quoteattr(name)}/>\n')
         head = f'<?xml version="1.0"?>\n<!-- {MARK} -->\n<VTKFile type="Collection" version="1.0">\n<Collection>\n'
         write_text(folder / f"{domain}.pvd", f"{head}{''.join(entries)}</Collection>\n</VTKFile>\n")
     return [folder / f"{domain}.pvd" for domain in domains]

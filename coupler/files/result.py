@@ -245,5 +245,7 @@ def impact_at(result: Result, time: float) -> int:
     if not (result.directory / HISTORY).is_file():
         return 1
     history = result.history()
-    row = int(history["time"].searchsorted(time * (1.0 - 1e-9)))
+    row = int(
+        history["time"].searchsorted(time - 0.25e-15)
+    )  # the first step of an impact is 1e-15 s later than the last before
     return int(history["impact"][: row + 1][-1])

@@ -4,6 +4,7 @@ last: if it exists, the run is finished."""
 import contextlib
 import errno
 import fcntl
+import itertools
 import json
 import os
 import re
@@ -21,6 +22,7 @@ from pydantic_core import to_json
 from ..core.records import Shape, unfit
 from ..errors import StoreError, UnreadableError
 from . import checkpoint
+from .fields import opened, times_of
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
 from .result import HISTORY, STORED, fields_file
 from .vtkhdf import Data, VtkHdfWriter, first_steps
@@ -123,15 +125,22 @@ class Store:
     def _copy_steps(self, domain: str, path: Path, steps: int, log: Callable[[str], None]) -> None:
         part = path.with_suffix(".part")
         try:
-            writer = first_steps(path, part, steps)
+            with opened(path) as file:
+                there = len(times_of(file))
+            if there < steps:  # a retry has removed steps after the checkpoint
+                log(f"{path} has {there} steps, but the checkpoint has {steps}: the others are missing")
+            writer = first_steps(path, part, min(there, steps))
         except UnreadableError:
             part.unlink(missing_ok=True)
             raise
-        except (StoreError, IndexError) as error:
-            kept = path.with_suffix(".vtkhdf.damaged")
-            end = f"a new file starts at the checkpoint; the old file is kept as {kept.name}"
+        except StoreError as error:
+            end = "a new file starts at the checkpoint"
+            if path.exists():
+                names = (path.with_suffix(f".vtkhdf.damaged{k or ''}") for k in itertools.count())
+                kept = next(name for name in names if not name.exists())
+                os.replace(path, kept)
+                end += f"; the old file is kept as {kept.name}"
             log(f"{path} cannot be read ({error}): {end}")
-            os.replace(path, kept)
             writer = VtkHdfWriter(part)
         os.replace(part, path)
         writer.path = path
@@ -205,7 +214,11 @@ class WithoutFields(Store):
 
 
 def _line(cells: Iterable[str | float]) -> str:
-    return ",".join(cell if isinstance(cell, str) else f"{cell:.10g}" for cell in cells) + "\n"
+    """A row of history.csv. The first number, the time, has all digits: a stored step is found by its time."""
+    texts = (
+        cell if isinstance(cell, str) else f"{cell:.10g}" if i else repr(float(cell)) for i, cell in enumerate(cells)
+    )
+    return ",".join(texts) + "\n"
 
 
 def lock_folder(directory: Path, wait: bool = False) -> int | None:

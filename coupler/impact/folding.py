@@ -51,12 +51,17 @@ class Folding:
         vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
         self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)
         self._support = self.surface.support(np.arange(len(vertices)))
+        self._origin, self._drift = (
+            np.zeros(3),
+            np.zeros(3),
+        )  # of the frame since the last search: position m, velocity m/s
 
     def search(self, particle: DistributedParticle, time: float) -> None:
         """Find the parts of the surface that can touch each other within `time` s."""
         weights, mass = self.surface.weights, particle.mass / particle.mass.sum()
-        # relative to the centre of mass: a motion of the whole particle does not change distances
-        x, v = weights @ (particle.x - mass @ particle.x), weights @ (particle.v - mass @ particle.v)
+        # in a frame that moves with the centre of mass: a motion of the whole particle does not change distances
+        self._origin, self._drift = mass @ particle.x, mass @ particle.v
+        x, v = weights @ (particle.x - self._origin), weights @ (particle.v - self._drift)
         fastest = float(np.sqrt(np.einsum("ij,ij->i", v, v).max()))
         self.contact.search(x, x, 1.5 * 2.0 * fastest * time)
 
@@ -75,7 +80,8 @@ class Folding:
         if len(self.contact.rows) == 0:
             return
         weights, points = self.surface.weights, self.contact.points
-        points.x[:], points.v[:], points.f[:] = weights @ particle.x, weights @ particle.v, 0.0
+        self._origin = self._origin + particle.dt * self._drift  # the same frame as in the search
+        points.x[:], points.v[:], points.f[:] = weights @ (particle.x - self._origin), weights @ particle.v, 0.0
         f = np.zeros_like(points.f)
         self.contact.forces(particle.dt, Nodes(points.x, points.v, f, len(f)))
         particle.f_ext += weights.T @ (points.f + f)

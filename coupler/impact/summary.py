@@ -1,6 +1,7 @@
 """The record of a finished impact for summary.json."""
 
 import resource
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -187,4 +188,5 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
 
 def peak_memory() -> float:
     """Largest resident memory of this process so far, bytes."""
-    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -117,13 +117,14 @@ def merged(texts: list[str]) -> list[str]:
 
 
 _BODY = re.compile(r"in the (?:particle|target)\b")
-_NUMBER = re.compile(r"(?<![A-Za-z])\d[\d.]*(?:e[+-]?\d+)?")
+_NUMBER = re.compile(r"(?<![A-Za-z0-9_.])\d[\d.]*(?:e[+-]?\d+)?")
+_NAMES = re.compile(r"\([^)]*\)")  # material and strength set of a body, which may have numbers
 _OF_IMPACT = re.compile(r"impact \d+: ")
 
 
 def _first_number(text: str) -> float:
     own = _OF_IMPACT.match(text)
-    number = _NUMBER.search(text, own.end() if own else 0)
+    number = _NUMBER.search(_NAMES.sub("", text[own.end() if own else 0 :]))
     return float(number[0].rstrip(".")) if number else 0.0
 
 

@@ -174,7 +174,9 @@ class Particle(LocalState, ABC):
                 if not str(problem).startswith("ERROR"):  # errors of LAMMPS start so; they have no class of their own
                     raise
                 text = str(problem).splitlines()[0]
-                raise SolverError(f"LAMMPS cannot create this particle ({text}): try fewer points") from problem
+                raise SolverError(
+                    f"LAMMPS cannot create this particle ({text}): try fewer points, or fewer ranks"
+                ) from problem
 
     def _start(self, velocity: Sequence[float] | np.ndarray, temperature: float, log: Path | None) -> None:
         """Start LAMMPS with the points, and give the points of this rank their state and velocities."""

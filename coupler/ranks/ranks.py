@@ -20,6 +20,7 @@ from typing import TypeVar
 import numpy as np
 from mpi4py.MPI import COMM_SELF, COMM_WORLD, Comm, Intracomm
 
+from ..core.process import handled
 from ..errors import ColdsprayError, SolverError
 from ..particle.particle import Particle
 
@@ -107,8 +108,12 @@ def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], 
     build(i, place, numerics): makes this rank's part of the particle of impact i, with its centre at place (3,) m. If the run fails,
     the root sends its error, and this function raises it. An error of this rank outside of its particle, or in `build`, ends all ranks.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root stops the run and reports it
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    # the root stops the run and reports it
+    with handled(lambda *_: None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        _serve(ranks, build)
+
+
+def _serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
     worker = _Worker(ranks, None)
     comm, root = ranks.comm, ranks.root
     while True:

@@ -256,11 +256,11 @@ class Bodies:
                     chosen &= _bonded(contact_pairs, surfaces, new.target, adhesion, ratio)
                 if chosen.any():
                     bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
-            elif bonded is not None:
-                row, chosen = np.zeros(len(contact_pairs.nodes), np.int64), contact_pairs.area > 0.0
-                if len(bonded[0]):
-                    away, row = cKDTree(bonded[0]).query(x[contact_pairs.nodes])
-                    chosen &= away <= size
+            elif bonded is not None and len(bonded[0]):
+                away, row = cKDTree(bonded[0]).query(x[contact_pairs.nodes])
+                chosen = (contact_pairs.area > 0.0) & (away <= size)
+                if partners is not None:
+                    chosen &= partners[surfaces.body[contact_pairs.facet]]
                 if chosen.any():
                     bonds.append(_continued(bonded[1], row[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None

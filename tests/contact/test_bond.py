@@ -139,6 +139,17 @@ def test_unloading_is_elastic_to_a_residual_opening_and_damage_does_not_heal(
         assert bond.dissipated == pytest.approx(GII * SIDE**2, rel=1e-3)
 
 
+def test_a_moved_bond_is_lifted_out_although_another_breaks() -> None:
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
+    bond, rows = b.tie(), np.array([3])
+    b.target.nodes.x[bond.nodes[3], 2] -= 0.02
+    bond.move(b.target.nodes.x, rows, bond.triangles[rows])
+    assert bond.gap[3] == pytest.approx(-0.02)
+    bond.drop(np.arange(len(bond)) == 1)
+    bond.reduce_overlap(0.0)
+    assert bond.gap[2] == 0.0
+
+
 def test_a_bond_that_is_moved_begins_without_a_force_and_leads_its_node_out() -> None:
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
     bond, t, rows = b.tie(), b.target, np.array([3])

@@ -282,14 +282,6 @@ def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> N
         t.advance(1e-5)
 
 
-def test_an_inverted_element_of_a_splat_asks_for_another_method(block: mesh.TetMesh) -> None:
-    two = np.repeat(law_record(elastic()), 2)
-    t = Target(block, two, 300.0, law_of=np.ones(len(block.conn), np.int32), fixed=(), track_wave=False)
-    t.nodes.v[0] = 1e6
-    with pytest.raises(SolverError, match=r"in splat1, inverted .* try another \[splat\] method"):
-        t.advance(1e-5)
-
-
 def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh, rng: np.random.Generator) -> None:
     """The whole range, odd pieces, and pieces smaller than a block: every number the same to the last bit."""
     t = Target(block, law_record(material("SS304")), 300.0, fixed=(), track_wave=False)

@@ -14,6 +14,7 @@ import pytest
 
 from coupler.errors import StoreError
 from coupler.files import vtkhdf
+from coupler.files.result import impact_at
 from coupler.files.store import Store
 from coupler.files.vtkhdf import VtkHdfWriter
 
@@ -416,4 +417,18 @@ def test_history_keeps_its_columns(tmp_path):
         with pytest.raises(ValueError, match="columns"):
             store.record({"time": 0.0})
         # Flushed line by line: nothing waits for the end of the run.
-        assert (tmp_path / "history.csv").read_text() == "time,kinetic\n0,0.3333333333\n1e-09,0.25\n"
+        assert (tmp_path / "history.csv").read_text() == "time,kinetic\n0.0,0.3333333333\n1e-09,0.25\n"
+
+
+def test_a_stored_step_is_known_by_its_time_in_a_long_coating(tmp_path):
+    """After 20 us a step lies 1e-15 s, less than ten digits show, after the end of the impact before."""
+    ends = np.cumsum(np.random.default_rng(2).uniform(80e-9, 120e-9, 220))
+    with Store.create(tmp_path, "") as store:
+        for number, (start, end) in enumerate(zip([0.0, *ends], ends, strict=False), 1):
+            for time in (start + 0.5 * (end - start), end):
+                store.record({"time": time, "impact": float(number)})
+    from coupler.files.result import Result
+
+    result = Result(tmp_path)
+    assert [impact_at(result, end) for end in ends] == list(range(1, 221))
+    assert [impact_at(result, end + 1e-15) for end in ends[:-1]] == list(range(2, 221))
