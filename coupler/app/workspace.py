@@ -19,6 +19,7 @@ from ..files import checkpoint
 from ..files.inputs import last_lines, leaves, parse_toml, read_text, reading
 from ..files.outputs import kind_of, write_text
 from ..files.result import Result
+from ..files.store import lock_folder
 from ..report.words import title, verdict
 from ..studies.pace import Pace
 
@@ -144,7 +145,12 @@ class Workspace:
     def stop(self, folder: Path) -> None:
         """Stop the process of a folder as Ctrl-C does; its results so far are kept. A process that still waits in the queue has no
         results and is killed, because it may ignore an interrupt."""
-        if alive(folder):
+        if not alive(folder):
+            if (
+                lock := lock_folder(folder)
+            ) is not None:  # raises StoreError if a process outside this page computes it
+                os.close(lock)
+        else:
             with suppress(ProcessLookupError, ValueError):
                 kind = signal.SIGINT if last_lines(folder / LOG) else signal.SIGKILL
                 os.killpg(int(read_text(folder / PID)), kind)
@@ -164,7 +170,10 @@ class Workspace:
         """Delete a results folder. Raises StoreError for other folders, and for a folder with a process."""
         if alive(folder) or not _is_ours(folder):
             raise StoreError(f"{folder.name} cannot be deleted: it is running, a link, or not a run")
+        lock = lock_folder(folder)  # raises StoreError if a process outside this page computes it
         shutil.rmtree(folder)
+        if lock is not None:
+            os.close(lock)
 
     def rows(self, below: Path | None = None) -> list[Row]:
         """All results folders below the folder `below` (default: `runs`), latest first. Results folders inside another one are parts

@@ -102,10 +102,11 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
 
     if asked is not None:
         if (needed_points := round(refinement.points_for(asked) * largest / last)) > MOST:
-            least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
+            forecast = refinement.forecast(round(MOST * last / largest))  # of the last particle
+            least = math.ceil(1000.0 * max(forecast[key] for key in SHAPE)) / 10.0
             raise ColdsprayError(
                 f"--accuracy {accuracy} cannot be reached: with {MOST} points, the largest allowed number, the error of the shape"
-                f" is about {least:.2g} %. Give at least this percentage (docs/evidence/accuracy.md)"
+                f" is about {least:g} %. Give at least this percentage (docs/evidence/accuracy.md)"
             )
         points = max(needed_points, coarsest)
         if (needed := time_of(points)) > limit:

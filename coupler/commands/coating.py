@@ -5,13 +5,16 @@ import contextlib
 import io
 from typing import TYPE_CHECKING
 
+from ..errors import StoreError
 from ..files.inputs import reading
 from ..files.outputs import claim_folder
+from ..units import rounded
 from . import arguments as options
 from .arguments import Commands
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
+    from ..studies.splats import Splats
 
 # statistics of a layer in the table: field, width of the first column, number of digits, factor from SI
 _FORMS = (("eps_p", 14, ".2f", 1.0), ("T", 13, ".0f", 1.0), ("von_mises", 23, ".0f", 1e-6))
@@ -46,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         spread.compute(others, arguments.run / coating_seeds.FOLDER, options.jobs_of(arguments), options.teller(False))
     with reading(arguments.run), options.working("measuring the coating") as progress:
         splats = coating.read(result)
+        _check(arguments, splats)
         measures = coating_seeds.measured(result, splats, arguments.disc)
         coating_files.write_measures(folder, measures)
         progress.stage("measuring the growth of the coating")
@@ -62,6 +66,20 @@ def run(arguments: argparse.Namespace) -> int:
     print("\n".join(describe(measures)))
     print(f"{', '.join(coating_files.NAMES[:-1])} and {len(meshes) - 1} surfaces of splats are in {folder}")
     return 0
+
+
+def _check(arguments: argparse.Namespace, splats: "Splats") -> None:
+    """Raise StoreError for a disc or a plane in which there is no coating."""
+    y = splats.mesh.points[:, 1]
+    low, high = float(y.min()), float(y.max())
+    if arguments.disc is not None and not splats.element_size <= arguments.disc <= 0.5 * (high - low):
+        least, most = rounded(splats.element_size, "um"), rounded(0.5 * (high - low), "um")
+        raise StoreError(
+            f"--disc: give a radius from {least} (element size of the splats) to {most} (radius of the target)"
+        )
+    if arguments.section is not None and not low < arguments.section < high:
+        within = f"y = {rounded(low, 'um')} and {rounded(high, 'um')}"
+        raise StoreError(f"--section: give a plane within the target, between {within}")
 
 
 def describe(measures: "CoatingMeasures") -> list[str]:

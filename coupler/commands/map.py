@@ -39,12 +39,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise StoreError(f"--refine {arguments.refine}: give the number of points to compute, zero or more")
     rows, axes = _table(arguments)
     for done in range(arguments.refine):
-        point, _, _ = maps.best_point(rows, arguments.show[0], axes)
-        if not point.at:
-            print(f"there is no new point to compute: {point.why}")
+        # each material has its own map
+        own = [[row for row in rows if row["material"] == name] for name in sorted({row["material"] for row in rows})]
+        points = [(maps.best_point(each, arguments.show[0], axes)[0], each) for each in own]
+        open_ = [(point, each) for point, each in points if point.at]
+        if not open_:
+            print(f"there is no new point to compute: {points[0][0].why}")
             break
-        print(f"running {done + 1} of {arguments.refine}: {point.words}", flush=True)
-        maps.run_next(arguments.folder, rows, point.at)
+        point, of_material = open_[done % len(open_)]
+        of = f"{of_material[0]['material']}: " if len(own) > 1 else ""
+        print(f"running {done + 1} of {arguments.refine}: {of}{point.words}", flush=True)
+        maps.run_next(arguments.folder, of_material, point.at)
         rows, axes = _table(arguments)
     out = arguments.out or arguments.folder
     check_folder(out)

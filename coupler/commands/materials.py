@@ -4,6 +4,7 @@ import argparse
 import textwrap
 from typing import TYPE_CHECKING
 
+from ..files.inputs import check_regular
 from ..units import rounded
 from .arguments import Commands, add_command, add_force, path
 from .collection import COLUMNS, write_library
@@ -28,6 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..physics import materials
 
     if arguments.table:
+        check_regular(arguments.table)
         out = arguments.out or arguments.table.with_suffix(".toml")
         print("\n".join(write_library(arguments.table, out, arguments.force)))
     elif arguments.name:

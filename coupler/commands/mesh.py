@@ -86,7 +86,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         raise SplatError(f"--step {step}: {problem}") from None
     impact = read_plan(folder).impacts[impact_at(result, fields.time) - 1]
     spacing = spacing or (sphere_volume(impact.diameter) / len(fields.points)) ** (1.0 / 3.0)
-    skin = np.flatnonzero(np.isclose(result.times("surface"), fields.time, rtol=1e-9, atol=0.0))
+    skin = np.flatnonzero(np.isclose(result.times("surface"), fields.time, rtol=0.0, atol=0.25e-15))
     whole = result.fields(int(skin[-1]), "surface") if len(skin) else None
     surface = (whole.points, whole.cells) if whole is not None else None
     notes = [] if surface else ["no surface is stored at this step: the shape follows from the points"]

@@ -63,6 +63,8 @@ def new(arguments: argparse.Namespace) -> int:
         return 0
     if name is None:
         raise ColdsprayError("new: give a kind or an example, and a file name; coldspray new --list shows all kinds")
+    if not name.name:
+        raise ColdsprayError(f"new: {name} is a folder: give a file name")
     suffix = ".csv" if kind == "mesh" else ".toml"
     out: Path = name if name.suffix == suffix else name.with_name(f"{name.name}{suffix}")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", out.stem):

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
                 live.update(text, refresh=True)
             if arguments.once:
                 return 0
-            time.sleep(arguments.every)
+            time.sleep(min(arguments.every, 86400.0))
     if arguments.picture is not None:
         section_picture(result, arguments.picture)
     print(screen(result))

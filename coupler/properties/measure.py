@@ -28,6 +28,7 @@ CONDUCTANCE = (5.5e8, 1.5e7)
 # The same for electricity: contact or insulation. By tunnelling, a film of 1 nm has some 1e-12 Ohm m2, comparable to a splat of 10 um;
 # a film of 3 nm has 1e-8 (Holm (1967), Electric Contacts, 4th ed.; second-hand). Values over the conductance of an element:
 CONTACT, INSULATED = 1e3, 1e-6
+INSULATOR = 1e-6  # electrical conductivity of a ceramic over that of a metal of equal k
 LORENZ = 2.44e-8  # W Ohm/K2: law of Wiedemann and Franz, Sommerfeld's value
 ROOM = 300.0  # K
 LEAST_SPLATS, FEW_SPLATS = 2.0, 30.0  # splats in a block: with fewer the block is refused, or a warning is given
@@ -156,7 +157,9 @@ def extract_sample(
     (substrate) or 1. Raises StoreError if a block without the substrate has room for fewer than LEAST_SPLATS splats."""
     mesh, impact = splats.mesh, splats.impact[splats.body]
     own = impact >= first
-    of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(np.count_nonzero(splats.impact), 1)
+    of_splat = np.abs(volumes(mesh.points, mesh.cells[impact > 0])).sum() / max(
+        len(np.unique(splats.impact[splats.impact > 0])), 1
+    )
     count = float(np.prod(high - low) / of_splat)
     if first and count < LEAST_SPLATS:
         edges = " x ".join(f"{1e6 * edge:.0f}" for edge in high - low)
@@ -214,12 +217,20 @@ def _elastic(sample: Sample, strain: float) -> Problem:
 
 def _conduction(sample: Sample, conductance: tuple[float, float]) -> dict[str, Bracket]:
     """Thermal conductivities, W/(m K), and electrical conductivities, S/m. conductance: greatest and least thermal conductance of
-    touching surfaces, W/(m2 K). The electrical conductivity of the bulk metal follows from the law of Wiedemann and Franz."""
-    bulk, block = sample.of_each(lambda m: m.k_at(ROOM)), sample.block
-    mean, values = sample.mean(lambda m: m.k_at(ROOM)), {}
+    touching surfaces, W/(m2 K). The electrical conductivity of the bulk metal follows from the law of Wiedemann and Franz; a ceramic is
+    an insulator."""
+    block, values = sample.block, {}
+
+    def electric_k(m: Material) -> float:  # the part of k that electrons conduct
+        return m.k_at(ROOM) * (INSULATOR if m.is_ceramic or m.is_polymer else 1.0)
+
+    mean = sample.mean(lambda m: m.k_at(ROOM))
     of_element = mean / float(np.cbrt(block.volume / len(block.tets)))
     electric = (CONTACT * of_element, INSULATED * of_element)
-    for name, factor, conductances in (("k", 1.0, conductance), ("sigma", 1.0 / (LORENZ * ROOM), electric)):
+    for name, factor, conductances, k_of in (
+        ("k", 1.0, conductance, lambda m: m.k_at(ROOM)), ("sigma", 1.0 / (LORENZ * ROOM), electric, electric_k),
+    ):  # fmt: skip
+        bulk, mean = sample.of_each(k_of), sample.mean(k_of)
         for end, h in zip(("", "_at_least"), conductances[: 2 - block.joints.bonded.all()], strict=False):
             problem = conducting(block, bulk, h)
             kinematic, mixed, static = problem.kinematic(), problem.mixed(), problem.static()

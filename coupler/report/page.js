@@ -28,11 +28,12 @@ function draw(id, figure) {
 
 // ---- 3D ----------------------------------------------------------------------------------------------
 
-function integers(text) {
+function integers(text, size = 2) {
   const raw = atob(text), bytes = new Uint8Array(raw.length);
   for (let k = 0; k < raw.length; k++) bytes[k] = raw.charCodeAt(k);
-  const view = new DataView(bytes.buffer), numbers = new Float64Array(raw.length / 2);
-  for (let k = 0; k < numbers.length; k++) numbers[k] = view.getUint16(2 * k, true);
+  const view = new DataView(bytes.buffer), numbers = new Float64Array(raw.length / size);
+  for (let k = 0; k < numbers.length; k++)
+    numbers[k] = size === 4 ? view.getUint32(4 * k, true) : view.getUint16(2 * k, true);
   return numbers;
 }
 
@@ -64,7 +65,7 @@ class Solid {
 
   mesh(kind, step, field) {
     const [low, high] = this.transposed(), part = this.solid.frames[step][kind];
-    const points = integers(part.points), corners = integers(this.solid.triangles[part.triangles]);
+    const points = integers(part.points), corners = integers(this.solid.triangles[part.triangles], 4);
     const [x, y, z] = [0, 1, 2].map((k) => {
       const span = high[k] - low[k];
       return every(points, k, 3).map((n) => low[k] - span + (n / 65535) * 3 * span);

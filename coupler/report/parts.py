@@ -170,7 +170,8 @@ def conditions(result: Result) -> str:
         lines = [("particles", f"{words.title(result)}; {heat} K, centres within {reach * 1e6:.3g} µm of the axis")]
     faces = f"sides {target['sides']}, bottom {target['bottom']}"
     size = f"{target['diameter'] * 1e6:g} µm across, {target['height'] * 1e6:g} µm high, {target['temperature']:g} K"
-    lines += [("target", f"{target['material']['name']} cylinder, {size}, {faces}")]
+    layers = "".join(f", {metal['name']} {1e6 * thick:g} µm" for metal, thick in target.get("layers") or ())
+    lines += [("target", f"{target['material']['name']} cylinder, {size}{layers}, {faces}")]
     lines += [("gas", "; ".join(map(str, gas)))] if gas and len(gas) <= 2 else []
     lines += [("spray", str(plan.get("spray", "")))]
     can_bond = plan["adhesion"]["kind"] != "none"
@@ -256,7 +257,9 @@ def material_data(result: Result) -> str:
     if not result.plan:
         return ""
     cores = [body["core"] for body in result.plan["impacts"] if body.get("core")]
-    bodies = [body["material"] for body in (*result.plan["impacts"], *cores, result.plan["target"])]
+    target = result.plan["target"]
+    layers = [{"material": metal} for metal, _ in target.get("layers") or ()]
+    bodies = [body["material"] for body in (*result.plan["impacts"], *cores, *layers, target)]
     metals = {m["name"]: m | {"K": m["rho"] * m["c0"] ** 2} for m in bodies}
     each = metals.values()
     rows = [(label, *(f"{m[key] * factor:.4g}" for m in each), unit) for key, label, factor, unit in CONSTANTS]

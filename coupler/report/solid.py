@@ -40,7 +40,8 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
     `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cross-section (um); `lowest`: a z below the particle at all times (um);
     `fields`: the fields with colours and ranges; `triangles`: sets of index triplets, which frames share; `frames`: for each time
     `lines` (x and z of the outlines of the cross-section, um) and the meshes "target", "particle", "target section" and "particle
-    section", each with the index of its set of triangles, points and values. Points and values are integers 0 to TOP, in base64.
+    section", each with the index of its set of triangles, points and values. Points and values are integers 0 to TOP of 2 bytes,
+    corners of triangles of 4 bytes, in base64.
     For points, this range spans a box three times as large as `box`, with the same centre; for values, the range of the field.
     """
     seen = view(result, steps, at)
@@ -192,10 +193,14 @@ def _frame(
         of = {name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()}
         # in a box three times as large, because triangles that overlap the view extend beyond it
         places = _packed((points - box[0] + span) / (3 * span) * TOP)
-        index = triangles.setdefault(_packed(corners), len(triangles))
+        index = triangles.setdefault(_in_base64(corners.astype("<u4")), len(triangles))
         frame[kind] = {"triangles": index, "points": places, "values": of}
     return frame
 
 
 def _packed(values: NDArray) -> str:
-    return base64.b64encode(np.rint(np.clip(values, 0, TOP)).astype("<u2").tobytes()).decode()
+    return _in_base64(np.rint(np.clip(values, 0, TOP)).astype("<u2"))
+
+
+def _in_base64(integers: NDArray) -> str:
+    return base64.b64encode(integers.tobytes()).decode()

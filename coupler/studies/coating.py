@@ -318,7 +318,8 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
         own = (layer == index) & ((index > 0) | (data["eps_p"] > 0.002))
         if not own.any():
             continue
-        count = int(np.count_nonzero(splats.impact[np.unique(splats.body[own])]))
+        impacts = splats.impact[np.unique(splats.body[own])]
+        count = len(np.unique(impacts[impacts > 0]))  # a splat may have several bodies
         row: dict[str, float] = {"layer": index, "splats": count, "volume_m3": float(volume[own].sum())}
         for name in ("eps_p", "T", "von_mises"):
             value = data[name][own].astype(float)

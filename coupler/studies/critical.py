@@ -26,7 +26,7 @@ from ..plan.reading import Scene
 from ..plan.text import duration
 from ..report.figure import blank, save
 from ..scene.toml import toml_text
-from .runs import Log, how_ended, results
+from .runs import Log, holds, how_ended, results
 from .table import write_rows
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, default limits of the search
@@ -229,7 +229,8 @@ def search(
     """
     check(scene)
     start, runs = start or plan(scene).impact.formula.critical or UNKNOWN_START, folder / "runs"
-    rows, seconds = rows_of(runs), 0.0
+    # runs of an earlier scene do not count, such as that of a metal whose library has changed
+    rows, seconds = [row for row in rows_of(runs) if _is_of(row, scene, runs)], 0.0
     while more(seconds):
         shares = shares_of(rows, repeat)
         if (velocity := next_velocity(verdicts_of(shares), start, limits, tolerance)) is None:
@@ -310,6 +311,13 @@ def rows_at(scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: 
     for reason in failed.values():
         raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
     return [_row(folder / name, velocity, k) for k, name in enumerate(points)]
+
+
+def _is_of(row: Row, scene: Scene, folder: Path) -> bool:
+    """Whether a row is that of a run of the scene."""
+    velocity, placement = float(row["velocity_m_s"]), int(row["placement"])
+    file = folder / f"{point_name(velocity, placement)}.toml"
+    return not file.is_file() or holds(file, at_velocity(scene, velocity, placement))
 
 
 def rows_of(folder: Path) -> list[Row]:

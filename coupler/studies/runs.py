@@ -121,7 +121,7 @@ def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
     others = []
     for point, text in points.items():
         scene = folder / f"{point}.toml"
-        if scene.is_file() and not _holds(scene, text):
+        if scene.is_file() and not holds(scene, text):
             ended = how_ended(folder / f"{point}.json")
             if (folder / point / "scene.toml").is_file() or (ended is not None and ended.get("exit_code") != REFUSED):
                 others.append(point)
@@ -131,13 +131,13 @@ def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
 def write_scene(folder: Path, point: str, text: str) -> Path:
     """Write the scene (TOML) of a point, unless its file has the same data. Returns the path. Raises StoreError."""
     path = folder / f"{point}.toml"
-    if not path.is_file() or not _holds(path, text):
+    if not path.is_file() or not holds(path, text):
         claim_folder(folder, "sweep", [path.name], force=None)
         write_text(path, text)
     return path
 
 
-def _holds(path: Path, text: str) -> bool:
+def holds(path: Path, text: str) -> bool:
     """Whether the file of a scene has the same data as a TOML text."""
     return read_text(path) == text or read_toml(path) == parse_toml(text)
 

@@ -99,7 +99,7 @@ def scene_numbers(scene: Mapping[str, object]) -> Iterator[tuple[str, float, str
             name = f"{key}[{number}]" if several else key
             if isinstance(value, int | float) and not isinstance(value, bool):
                 yield name, float(value), ""
-            elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S+)", value)):
+            elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S.*)", value)):
                 with contextlib.suppress(ValueError, LookupError):
                     yield name, units.parse(value, units.dimension_of(match[1])), match[1]
 

@@ -18,6 +18,7 @@ from ..errors import ColdsprayError, SceneError
 from ..files.inputs import InputError, read_toml, similar
 from ..plan.own import with_library
 from ..plan.reading import Scene
+from ..plan.solids import with_folders
 from ..scene.model import safe_name
 from ..scene.toml import set_key, toml_text
 from .runs import run_points
@@ -97,11 +98,13 @@ class Sweep:
         refused: dict[str, str] = {}
         first: SceneError | None = None
         for number, point in enumerate(settings, 1):
-            label = f"{number:05d}" if is_ensemble else point_name(point)
+            label = f"{number:05d}" if is_ensemble else point_name(point) or "base"
             if label in scenes:
                 raise SceneError([f"points: {label} is given twice; remove one of them"], source)
             try:
-                scenes[label] = toml_text(scene := _with(base, point, ratios))
+                scene = _with(base, point, ratios)
+                with_folders(scene, source)
+                scenes[label] = toml_text(scene)
                 Scene.from_dict(scene, label)
             except SceneError as error:
                 refused[label], first = "; ".join(error.problems), first or error
@@ -147,6 +150,8 @@ def _base(scene: object, source: str, problems: list[str]) -> Table:
         problems.append('scene: expected a table [scene], or the file of a scene, as scene = "single.toml"')
     if "library" in base:  # a point may use any of its metals
         problems += with_library(base, source)
+    base = copy.deepcopy(base)
+    with_folders(base, source)
     return base
 
 
@@ -267,7 +272,7 @@ def quantile_of(table: object) -> Quantile:
     if len(dimensions) > 1:
         raise ValueError(f"{', '.join(numbers)} must have units of the same dimension")
     a, b = (numbers[key][0] for key in keys)
-    if kind == "normal" and numbers["deviation"][1] == "degC":
+    if kind == "normal" and numbers["deviation"][1] in ("degC", "C"):
         raise ValueError("deviation: give the value in K")
     is_sound, problem = {
         "normal": (b > 0.0, "deviation must be above zero"), "uniform": (a < b, "`from` must be below `to`"),
@@ -280,6 +285,8 @@ def quantile_of(table: object) -> Quantile:
     if kind == "log-normal":
         law = stats.lognorm(np.log(b), scale=a)
     below, above, unit = law.cdf(low), law.cdf(high), numbers[keys[0]][1]
+    if not below < above:
+        raise ValueError("smallest and largest leave nothing of the distribution")
 
     def quantile(share: float) -> object:
         value = float(law.ppf(below + share * (above - below)))

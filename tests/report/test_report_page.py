@@ -199,7 +199,7 @@ def test_the_3d_view_is_the_run(finished):
     span = high - low
     points = low - span + read(frame["points"]).reshape(-1, 3) / TOP * 3 * span
     assert np.abs(points - surface.points * 1e6).max() < 0.005  # um
-    triangles = read(view["triangles"][frame["triangles"]]).reshape(-1, 3).astype(int)
+    triangles = read(view["triangles"][frame["triangles"]], "<u4").reshape(-1, 3).astype(int)
     np.testing.assert_array_equal(triangles, surface.cells)
     # the undeformed particle and the deformed one have their triangles in common
     assert view["frames"][0]["particle"]["triangles"] == frame["triangles"]
@@ -215,7 +215,7 @@ def test_the_3d_view_is_the_run(finished):
     # the particle's section is filled to its outline
     part = view["frames"][1]["particle section"]
     places = low - span + read(part["points"]).reshape(-1, 3) / TOP * 3 * span
-    corners = places[read(view["triangles"][part["triangles"]]).astype(int).reshape(-1, 3)][..., [0, 2]]
+    corners = places[read(view["triangles"][part["triangles"]], "<u4").astype(int).reshape(-1, 3)][..., [0, 2]]
     (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     filled = 0.5 * np.abs(a * d - b * c).sum()
     outline = np.array(max(view["frames"][1]["lines"], key=len)).reshape(-1, 2)
@@ -223,8 +223,8 @@ def test_the_3d_view_is_the_run(finished):
     assert filled == pytest.approx(abs(0.5 * (x[:-1] * z[1:] - x[1:] * z[:-1]).sum()), rel=1e-3)
 
 
-def read(text: str) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(text), "<u2").astype(float)
+def read(text: str, kind: str = "<u2") -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), kind).astype(float)
 
 
 def test_large_surfaces_are_thinned():

@@ -66,10 +66,18 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
         ({"scene": SHARED, "ensemble": {"runs": 0, "velocity": {"mean": "500 m/s", "deviation": "3 K"}}},
          "whole number from 1 to 10000\n.*the same dimension"),
         ({"scene": SHARED, "ensemble": {"runs": 3, "velocity": {"mean": 5}}}, "expected a distribution"),
+        ({"scene": SHARED, "ensemble": {"runs": 3, "temperature": {"mean": "100 C", "deviation": "20 C"}}}, "value in K"),
+        ({"scene": SHARED, "ensemble": {"runs": 3, "velocity": {"mean": "600 m/s", "deviation": "3 m/s", "smallest": "900 m/s"}}},
+         "leave nothing of the distribution"),
         (points() | {"scene": "absent.toml"}, "absent.toml"),
     ):  # fmt: skip
         with pytest.raises(SceneError, match=words):
             Sweep.from_dict(data)
+
+
+def test_a_point_without_changes_is_the_base() -> None:
+    scene = SHARED | {"particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}}
+    assert list(Sweep.from_dict({"scene": scene, "points": [{}, {"velocity": "450 m/s"}]}).points) == ["base", "450ms"]
 
 
 def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(tmp_path, monkeypatch, capsys) -> None:
