@@ -316,7 +316,9 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     }
     doubt = "numerical viscosity and hourglass control took 31%"
     with Store.create(tmp_path, "") as store:
-        store.finish(summary_of(first, second, undecided="not at rest", warnings=["splat 3 has come off", doubt, "rates"]))
+        store.finish(
+            summary_of(first, second, undecided="not at rest", warnings=["splat 3 has come off", doubt, "rates"])
+        )
     result = Result(tmp_path)
     rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1}
     assert rows["greatest plastic strain"] == ["-", "-", ""]
