@@ -193,6 +193,28 @@ def test_a_file_without_room_for_its_copy_stays(tmp_path, monkeypatch):
     assert len(read_with_vtk(tmp_path / "target.vtkhdf")) == 1
 
 
+@pytest.mark.parametrize("is_there", [True, False])
+def test_steps_that_a_retry_has_removed_do_not_cost_the_others(tmp_path, is_there):
+    """A checkpoint in an impact has three steps; its retry cuts the file to one, and the run is killed before the next checkpoint."""
+    told: list[str] = []
+    with Store.create(tmp_path, "") as store:
+        store.write("target", 0.0, POINTS, TETS)
+        before = store.state()
+        for time in (1.0, 2.0):
+            store.write("target", time, POINTS, TETS)
+        later = store.state()
+        store.go_on(before, pytest.fail)
+    path = tmp_path / "target.vtkhdf"
+    if not is_there:
+        path.unlink()
+    with Store.reopen(tmp_path) as store:
+        store.go_on(later, told.append)
+        store.write("target", 3.0, POINTS, TETS)
+    assert len(read_with_vtk(path)) == 1 + is_there
+    assert len(told) == 1
+    assert not list(tmp_path.glob("*.damaged*"))
+
+
 def test_cells_that_change_in_place_are_noticed(tmp_path):
     writer = VtkHdfWriter(tmp_path / "a.vtkhdf")
     cells = TETS.copy()
