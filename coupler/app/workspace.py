@@ -8,8 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -144,16 +144,14 @@ class Workspace:
 
     def stop(self, folder: Path) -> None:
         """Stop the process of a folder as Ctrl-C does; its results so far are kept. A process that still waits in the queue has no
-        results and is killed, because it may ignore an interrupt."""
-        if not alive(folder):
-            if (
-                lock := lock_folder(folder)
-            ) is not None:  # raises StoreError if a process outside this page computes it
-                os.close(lock)
-        else:
+        results and is killed, because it may ignore an interrupt. Raises StoreError for a process that this page has not started."""
+        if alive(folder):
             with suppress(ProcessLookupError, ValueError):
                 kind = signal.SIGINT if last_lines(folder / LOG) else signal.SIGKILL
                 os.killpg(int(read_text(folder / PID)), kind)
+        else:
+            with _locked(folder):
+                pass
 
     def call(self, *words: str) -> str:
         """Run a command of coldspray that ends within seconds and return its printed text. words: the words after `coldspray`. Raises
@@ -170,10 +168,8 @@ class Workspace:
         """Delete a results folder. Raises StoreError for other folders, and for a folder with a process."""
         if alive(folder) or not _is_ours(folder):
             raise StoreError(f"{folder.name} cannot be deleted: it is running, a link, or not a run")
-        lock = lock_folder(folder)  # raises StoreError if a process outside this page computes it
-        shutil.rmtree(folder)
-        if lock is not None:
-            os.close(lock)
+        with _locked(folder):
+            shutil.rmtree(folder)
 
     def rows(self, below: Path | None = None) -> list[Row]:
         """All results folders below the folder `below` (default: `runs`), latest first. Results folders inside another one are parts
@@ -211,6 +207,22 @@ class Workspace:
         except ColdsprayError as error:
             state, words = DAMAGED, str(error)
         return Row(folder.relative_to(self.runs).as_posix(), kind, state, words, changed)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Context in which no process computes in a folder. Raises StoreError if one does, which this page has not started."""
+    try:
+        lock = lock_folder(folder)
+    except StoreError:
+        raise StoreError(
+            f"{folder.name} is computed by a process that was not started here: stop it where it runs"
+        ) from None
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _is_ours(folder: Path) -> bool:

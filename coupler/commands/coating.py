@@ -44,12 +44,13 @@ def run(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
+    with reading(arguments.run):
+        splats = coating.read(result)
+    _check(arguments, splats)
     if arguments.seeds:
         others = coating_seeds.other_seeds(Scene.from_text(result.scene_text, str(arguments.run)), arguments.seeds)
         spread.compute(others, arguments.run / coating_seeds.FOLDER, options.jobs_of(arguments), options.teller(False))
     with reading(arguments.run), options.working("measuring the coating") as progress:
-        splats = coating.read(result)
-        _check(arguments, splats)
         measures = coating_seeds.measured(result, splats, arguments.disc)
         coating_files.write_measures(folder, measures)
         progress.stage("measuring the growth of the coating")

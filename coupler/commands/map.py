@@ -40,7 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     rows, axes = _table(arguments)
     for done in range(arguments.refine):
         # each material has its own map
-        own = [[row for row in rows if row["material"] == name] for name in sorted({row["material"] for row in rows})]
+        names = dict.fromkeys(row["material"] for row in rows if row["status"] == "done")
+        own = [[row for row in rows if row["material"] == name] for name in names] or [rows]
         points = [(maps.best_point(each, arguments.show[0], axes)[0], each) for each in own]
         open_ = [(point, each) for point, each in points if point.at]
         if not open_:

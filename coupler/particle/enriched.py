@@ -140,7 +140,8 @@ class EnrichedParticle(CompiledParticle):
         estimate for the end of the next chunk.
         """
         n, sides, F, J, mode = self.n, self._sides, self._deformation.F, self.points.J, self.points.mode
-        stiffness, f, unused, small = np.empty(n), np.empty((n, 3)), np.empty(n), self._small
+        stiffness, f, small = np.empty(n), np.empty((n, 3)), self._small
+        unused = np.zeros(n)  # the linear operator has no losses
         share(lambda lo, hi: k.stiffness_points(lo, hi, sides, F, stiffness), n, k.LEAST_POINTS)
         largest = max(self.comm.allgather(float(stiffness.max(initial=0.0))))
         u, before = small.u[:n], self._size(mode)

@@ -9,6 +9,7 @@ import pytest
 from coupler.app.workspace import DAMAGED, LOG, PID, QUEUED, STOPPED, Workspace, alive
 from coupler.errors import StoreError
 from coupler.files.outputs import MARK
+from coupler.files.store import lock_folder
 from coupler.studies.pace import Pace
 
 
@@ -131,6 +132,12 @@ def test_only_results_are_deleted(workspace: Workspace, tmp_path: Path) -> None:
     for place in (foreign, link):
         with pytest.raises(StoreError, match="cannot be deleted"):
             workspace.delete(place)
+    lock = lock_folder(folder)  # as a run in a terminal
+    assert lock is not None
+    for act in (workspace.delete, workspace.stop):
+        with pytest.raises(StoreError, match="mine is computed by a process that was not started here"):
+            act(folder)
+    os.close(lock)
     workspace.delete(folder)
     assert sorted(path.name for path in workspace.runs.iterdir()) == ["link", "notes"]
 

@@ -237,6 +237,8 @@ def test_roughness_of_a_wave() -> None:
 
 def test_layers_depth_and_efficiency(built: Splats) -> None:
     rows = per_layer(built, 2)
+    of_one = replace(built, impact=np.array([0, 1, 3, 3]))  # shell and core of one splat
+    assert per_layer(of_one, 2)[1]["splats"] == 1
     assert [row["layer"] for row in rows] == [1, 2]
     assert rows[0]["T_mean"] == pytest.approx(400.0)
     assert rows[1]["splats"] == 2

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +17,12 @@ from coupler.errors import StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.reading import Scene
+from coupler.scene.toml import set_key
 from coupler.studies import map_figures
 from coupler.studies.map_figures import NO_VALUE, _fields, _levels
 from coupler.studies.maps import BAND, best_point, brackets, interpolate, run_next, sparse, varying
 from coupler.studies.runs import write_scene
-from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
+from coupler.studies.runs_table import AXES, COLUMNS, scene_numbers, table, write_table
 from coupler.studies.sweep import Sweep
 
 
@@ -382,6 +384,37 @@ def test_levels_of_a_band_are_those_of_its_own_values() -> None:
     assert _levels([band], "velocity_ratio", band=True).max() <= 0.01
     levels = _levels([mean], "velocity_ratio", band=False)
     assert levels[0] + levels[-1] == pytest.approx(2.0, abs=0.1)
+
+
+def test_refine_keeps_materials_apart_and_counts_finished_points(tmp_path, capsys, monkeypatch) -> None:
+    """Each metal gets a point between its own two velocities. A point that has failed has no metal."""
+    for metal, velocities in (("Ni", (300, 500)), ("Ti", (700, 900))):
+        made(tmp_path, Sweep.from_dict(points(material=[metal], velocity=[f"{v} m/s" for v in velocities])))
+    (tmp_path / "failed.toml").write_text("preset = 3")  # of no metal that can be read
+    (tmp_path / "failed.json").write_text('{"status": "failed", "reason": "no reason", "exit_code": 2}')
+    found = []
+
+    def run_it(folder: Path, name: str, text: str) -> None:
+        (folder / f"{name}.toml").write_text(text)
+        found.append(Scene.load(folder / f"{name}.toml").particle)
+        pretend(folder, name, flattening_ratio=0.4)
+
+    monkeypatch.setattr("coupler.studies.maps.run_point", run_it)
+    drawn(tmp_path, capsys, "--refine", "2")
+    assert [particle.material for particle in found] == ["Ni", "Ti"]
+    assert 300.0 < found[0].velocity < 500.0
+    assert 700.0 < found[1].velocity < 900.0
+
+
+def test_numbers_whose_unit_has_a_blank_are_axes() -> None:
+    scene: dict[str, Any] = {
+        "materials": {"Ni": {"cp": "456 J/(kg K)"}}, "particle": {"offset": ["2 um", "0 um"]},
+    }  # fmt: skip
+    assert ("materials.Ni.cp", 456.0, "J/(kg K)") in list(scene_numbers(scene))
+    set_key(scene, "particle.offset[2]", "3 um")
+    assert scene["particle"]["offset"] == ["2 um", "3 um"]
+    with pytest.raises(ValueError, match="not a key of a scene"):
+        set_key(scene, "particle.offset[3]", "3 um")
 
 
 def test_refine_runs_the_point_that_tells_most(tmp_path, capsys, monkeypatch) -> None:
