@@ -51,10 +51,9 @@ class Folding:
         vertices = body.vertices if body.inner is None else np.concatenate([body.vertices, body.inner[0]])
         self.contact = _OwnContact(vertices, self.surface.triangles, stiffness, body.spacing, friction)
         self._support = self.surface.support(np.arange(len(vertices)))
-        self._origin, self._drift = (
-            np.zeros(3),
-            np.zeros(3),
-        )  # of the frame since the last search: position m, velocity m/s
+        # of the frame of the last search
+        self._origin = np.zeros(3)  # position, m
+        self._drift = np.zeros(3)  # velocity, m/s
 
     def search(self, particle: DistributedParticle, time: float) -> None:
         """Find the parts of the surface that can touch each other within `time` s."""
