@@ -234,6 +234,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if not arguments.quiet and is_first_rank():
             print(remark)
 
+    from ..geometry import apart
+
+    if is_first_rank():
+        apart.begin()  # gmsh loads meanwhile
     from ..deposition.run import run
 
     error = not arguments.no_error and scene.resolution.error is not False

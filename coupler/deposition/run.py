@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from numba.core import event
@@ -80,8 +79,6 @@ def run(
         companions.begin(on_another_core=options.ranks.size == 1 and cores() > max(options.threads, options.jobs))
         return store
 
-    if is_first_rank():  # matplotlib loads while this process waits for gmsh
-        Thread(target=getattr, args=(report, "section_picture"), daemon=True).start()
     try:
         return _complete(deposit(decided, folder, options, create), companions, options)
     finally:

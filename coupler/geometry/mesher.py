@@ -7,6 +7,7 @@ import math
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from types import ModuleType
 
 import numpy as np
@@ -16,6 +17,12 @@ from .tetrahedra import COARSEST, boundary_faces, oriented
 from .triangles import compact
 
 ALGORITHMS = {"HXT": 10, "Delaunay": 1}
+
+
+def load() -> None:
+    """Import gmsh before the first call. Where it is not installed, `build` raises the error."""
+    with suppress(ImportError, OSError):
+        import gmsh  # noqa: F401
 
 
 def build(model: Callable[[ModuleType], None], algorithm: str = "HXT") -> tuple[np.ndarray, np.ndarray]:

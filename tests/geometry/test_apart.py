@@ -1,37 +1,54 @@
-"""Calls in a process of their own: results and messages come back, and a process that hangs is killed."""
+"""Calls in a process of their own: results and messages come back, and a call that hangs is killed."""
 
+import math
+import os
 import signal
-import subprocess
+import time
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from mesher_that_fails import hangs
 
 from coupler.errors import SplatError
 from coupler.geometry import mesher
-from coupler.geometry.apart import apart
+from coupler.geometry.apart import apart, begin, end
 
 
-def test_a_process_that_hangs_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[subprocess.Popen[bytes]] = []
-
-    class Recorded(subprocess.Popen):
-        def __init__(self, *arguments: object, **named: object) -> None:
-            super().__init__(*arguments, **named)  # type: ignore[call-overload]
-            started.append(self)
-
-    monkeypatch.setattr(subprocess, "Popen", Recorded)
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+def test_a_call_that_hangs_is_killed_and_the_next_one_succeeds() -> None:
     with pytest.raises(SplatError, match=r"did not finish within 0\.2 s: try another element size"):
-        apart(partial(hangs), 0.2)
-    assert [process.returncode for process in started] == [-signal.SIGKILL]
+        apart(partial(time.sleep, 600.0), 0.2)
+    waiting = begin().pid
+    assert not Path(f"/proc/{waiting}/task/{waiting}/children").read_text()
+    assert apart(partial(math.hypot, 3.0, 4.0), 60.0) == 5.0
+    assert begin().pid == waiting
+
+
+def test_a_waiting_process_that_dies_is_replaced() -> None:
+    waiting = begin()
+    waiting.kill()
+    waiting.wait()
+    assert apart(partial(math.hypot, 3.0, 4.0), 60.0) == 5.0
+    with pytest.raises(SplatError, match="the mesher was ended by the signal SIGKILL: try a larger element size"):
+        apart(partial(os.killpg, begin().pid, signal.SIGKILL), 60.0)
+
+
+def test_an_interrupt_ends_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise its answer would be that of the next call."""
+    waiting = begin()
+    answer = Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr(waiting, "stdout", Mock(readline=answer, close=waiting.stdout.close))  # type: ignore[union-attr]
+    with pytest.raises(KeyboardInterrupt):
+        apart(partial(time.sleep, 600.0), 600.0)
+    assert waiting.poll() == -signal.SIGKILL
+    assert apart(partial(math.hypot, 3.0, 4.0), 60.0) == 5.0
 
 
 def test_files_of_the_working_folder_are_no_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "random.py").write_text("raise RuntimeError('imported')")
     monkeypatch.chdir(tmp_path)
+    end()
     assert len(apart(partial(mesher.cylinder, 4.0, 2.0, 1.0, 1.0, 1.5), 60.0)[0]) > 10
 
 
