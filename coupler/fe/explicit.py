@@ -229,11 +229,11 @@ class Target(TargetState):
         if springs is not None:
             load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
-        dt = safety.ELEMENTS * bound
-        if dt < enough * (1.0 + LINEAR_VISCOSITY):
+        dt, enough = safety.ELEMENTS * bound, enough * (1.0 + LINEAR_VISCOSITY)
+        if dt < enough:
             if self.highest is None:
                 self.highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
-            dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia))
+            dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia, enough=enough))
         return dt / (1.0 + LINEAR_VISCOSITY)
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:

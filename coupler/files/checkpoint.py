@@ -22,7 +22,7 @@ from numpy.lib.npyio import NpzFile
 from ..core.records import rows_of, shapes_of
 from ..errors import CheckpointError, StoreError, UnreadableError
 
-FORMAT = 25
+FORMAT = 26
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _OF_AN_ARRAY = 600  # most bytes for the header of an array

@@ -212,6 +212,29 @@ def test_elements_at_rest_have_no_part_in_the_highest_frequency() -> None:
     assert longest == restored.longest_step(t, bound, *half)
 
 
+def test_a_limit_far_above_the_needed_step_is_seldom_computed() -> None:
+    """Between the iterations it decreases as the bound of the elements does; new nodes and a needed step near it ask for another."""
+    t = substrate().target
+    bound = 1.5 * t.stable_dt()
+    n, m = len(t.nodes.x), len(t.mesh.conn)
+    highest = HighestFrequency(n, m)
+
+    def iterates(enough: float, bound: float, nodes: int, elements: int) -> tuple[bool, float]:
+        before = highest.w.copy()
+        longest = highest.longest_step(t, bound, nodes, elements, enough=enough)
+        return bool((highest.w != before).any()), longest / limit
+
+    half = int(t.mesh.conn[: m // 2].max()) + 1, m // 2
+    limit = highest.longest_step(t, bound, *half)
+    for factor in (1.0, 0.9, 0.8):
+        assert iterates(0.5 * limit, factor * bound, *half) == (False, pytest.approx(factor))
+    assert iterates(0.5 * limit, bound, *half)[0]
+    assert iterates(0.9 * limit, bound, *half)[0]
+    assert iterates(0.5 * limit, 0.6 * bound, *half)[0]
+    assert iterates(0.5 * limit, bound, n, m)[0]
+    assert not iterates(0.5 * limit, bound, n, m)[0]
+
+
 def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
     """Masses, damping, absorbing faces and inactive part are the solver's own again."""
     bodies = substrate(track_wave=True)
