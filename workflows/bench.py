@@ -1,21 +1,19 @@
 """Time of a step: python workflows/bench.py   # docs/tables/bench.csv
 
-Elastic and plastic elements; the same forces with forms of scikit-fem; points with all engines; an impact, and its speed-up by up to
---most threads (medians; all other times: the fastest of several repeats). The column over_loop is the time over that of a reference
-loop in the same run, to compare machines. Rows of other versions stay in the table.
+Elastic and plastic elements; the same forces with forms of scikit-fem; points with all engines; an impact (medians; all other times:
+the fastest of several repeats). The column over_loop is the time over that of a reference loop in the same run, to compare machines.
+Rows of other versions stay in the table.
 """
 
 import time
 import timeit
 from collections.abc import Callable, Iterator
-from itertools import count, takewhile
 
 import numpy as np
 from pages import impact_tables, machine, options, reference, spacing_of
 from serial_share import Spent
 from study_table import study
 
-from coupler.core.process import cores
 from coupler.core.threads import threads_of
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
@@ -31,6 +29,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 
 STEPS, REPEATS = 40, 7
+BEGUN = 15e-9  # s after the first contact
 Part = tuple[str, float, str]  # name, value and unit of a row
 clock = time.process_time  # other work on the machine does not count
 
@@ -126,11 +125,11 @@ def engines(count: int) -> Iterator[Part]:
         p.close()
 
 
-def begun(points: int) -> Impact:
-    """An impact of about `points` points, 15 ns after the first contact: points flow, surfaces touch."""
+def begun(points: int, until: float = BEGUN) -> Impact:
+    """An impact of about `points` points, `until` s after the first contact: points flow, surfaces touch."""
     scene = Scene.from_dict(impact_tables("Ni", 25.0, 500.0, spacing=spacing_of(points)), "bench")
     impact = Impact(build_domains(plan(scene)))
-    while impact.time < 15e-9:
+    while impact.time < until:
         advance_chunk(impact)
     return impact
 
@@ -166,27 +165,11 @@ def whole(points: int) -> Iterator[Part]:
     p.close()
 
 
-def threaded(points: int, most: int) -> Iterator[Part]:
-    """Wall time of a step of a real impact on one thread over that on 2, 4 ... threads, measured in turn."""
-    counts = list(takewhile(lambda n: n <= most, (2**k for k in count())))
-    with threads_of(counts[-1]):
-        impact = begun(points)
-    times: dict[int, list[float]] = {n: [] for n in counts}
-    for _ in range(REPEATS):
-        for n in counts:
-            with threads_of(n):
-                times[n].append(per_step(impact, time.perf_counter))
-    for n in counts[1:]:
-        gain = float(np.median(times[1])) / float(np.median(times[n]))
-        yield f"impact, {impact.particle.n} points, one thread over {n}", gain, "of wall time"
-    impact.particle.close()
-
-
 if __name__ == "__main__":
-    a = options(__doc__, most=cores())
+    options(__doc__)
     rows = list(elements())
     for points in (1000, 5000, 16000):
-        rows += [*engines(points), *threaded(points, a.most)]
+        rows += engines(points)
     rows += whole(5000)
     loop = reference(clock) * 1e6
     table = study("bench", ("part", "version"), remake="make bench")
