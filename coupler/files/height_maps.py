@@ -67,6 +67,8 @@ def _image(path: Path) -> NDArray[np.float64]:
 def _of_matrix(z: NDArray[np.float64]) -> Surface:
     block = -(-max(z.shape) // _MOST_ROWS)
     rows, columns = (n // block for n in z.shape)
+    if min(rows, columns) < 2:
+        raise ValueError(f"is too narrow: {z.shape[0]} rows and {z.shape[1]} columns become means of {block} x {block}")
     z = z[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))
     x, y = np.meshgrid(block * np.arange(columns), -block * np.arange(rows))
     corner = np.arange(rows * columns).reshape(rows, columns)

@@ -55,7 +55,7 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
             raise ValueError(f"line {first + 1} has {len(rows[0])} columns, line {k + 1} has {len(row)}")
     columns, notes = _values(rows, kept, separator)
     if names is None:
-        above = {line: _titles(line, separator, len(rows[0])) for line in lines[:first] if line}
+        above = {line: _titles(line, separator, len(rows[0]), axes) for line in lines[:first] if line}
         left_out = [line for line, titles in above.items() if titles is None and not line.startswith(_COMMENT)]
         notes += [f"a line above the numbers is ignored: {line[:60]!r}" for line in left_out]
         names = next((titles for titles in reversed(above.values()) if titles is not None), None)
@@ -124,14 +124,16 @@ def _values(rows: list[list[str]], lines: list[int], separator: str) -> tuple[Co
     return columns, ["its commas are read as decimal commas"] if comma else []
 
 
-def _titles(line: str, separator: str, count: int) -> list[str] | None:
-    """The `count` column names in a line above the numbers; None if it is no heading. A comment must name x, y and z to be one."""
+def _titles(line: str, separator: str, count: int, axes: str) -> list[str] | None:
+    """The `count` column names in a line above the numbers; None if it is no heading. A comment is one if it names x, y and z; in a
+    table of two columns, if a name has a unit."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
         names = _fields(line if between else re.sub(r"(?<!\s)\s+(?=[\[(])", "", line), between)
         bare = {_UNIT.sub("", name).strip().lower() for name in names}
-        if len(names) == count and (not is_comment or {"x", "y", "z"} <= bare):
+        said = {"x", "y", "z"} <= bare if axes == "xyz" else any(map(_UNIT.search, names))
+        if len(names) == count and (said or not is_comment):
             return names
     return None
 
@@ -140,9 +142,9 @@ def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]
     """Numbers by axis, for unnamed columns; row numbers in the first are skipped. If not all are used, a remark says which are."""
     places = list(columns)
     values = columns[places[0]]
-    if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
-        places = places[1:]
     count = len(axes)
+    if len(places) > count and len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
+        places = places[1:]
     if len(places) < count:
         raise ValueError(f"the table needs {_listed(axes, 'columns')}, besides a column of line numbers")
     used = ", ".join(str(k + 1) for k in places[:count])

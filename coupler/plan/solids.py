@@ -1,5 +1,6 @@
 """Particle shapes from files. Each file is read, cleaned and checked only once."""
 
+import glob
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ from ..files.surfaces import read_surface
 from ..geometry.solid import Solid, solid_of
 from ..geometry.triangles import surface_area
 from ..physics.shapes import Form
+from ..scene.coating import TABLES
 from ..scene.model import SceneData, particle_tables
 
 
@@ -50,9 +52,30 @@ def read_forms(scene: SceneData) -> Iterator[str]:
 
 
 def with_folders(raw: dict[str, object], source: str) -> None:
-    """Make file names absolute; they are relative to the folder of the scene. raw: the scene as nested dicts, changed in place."""
-    substrate = raw.get("substrate")
-    for table in (*particle_tables(raw), substrate.get("height_map") if isinstance(substrate, dict) else None):
-        name = table.get("file") if isinstance(table, dict) else None
-        if isinstance(table, dict) and isinstance(name, str) and len(name) < 4096 and "\0" not in name:
-            table["file"] = str((Path(source).parent / name).absolute())
+    """Make names of files and patterns of names absolute; they are relative to the folder of the scene. raw: the scene as nested dicts,
+    changed in place."""
+
+    def table_of(value: object) -> dict[str, object]:
+        return value if isinstance(value, dict) else {}
+
+    folder, coating, several = (
+        Path(source).parent,
+        table_of(raw.get("coating")),
+        table_of(raw.get("coating")).get("powder"),
+    )
+    powders = [coating, *map(table_of, several if isinstance(several, list) else [several])]
+    each = [
+        (table, "file") for table in (*particle_tables(raw), table_of(table_of(raw.get("substrate")).get("height_map")))
+    ]
+    each += [
+        (table_of(raw.get("spray")), "distribution"),
+        *((table, key) for table in powders for key in ("files", "sizes")),
+    ]
+    for table, key in each:
+        name = table.get(key)
+        if not isinstance(name, str) or len(name) >= 4096 or "\0" in name:
+            continue
+        if key == "files":
+            table[key] = str(Path(glob.escape(str(folder.absolute()))) / name)
+        elif key == "file" or name.lower().endswith(TABLES):
+            table[key] = str((folder / Path(name).expanduser()).absolute())

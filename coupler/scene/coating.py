@@ -18,11 +18,11 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
     """Read the sizes of a powder from a value in one of SIZE_FORMS: diameters in m, or the name of a file."""
     if value is None:
         return None
+    if isinstance(value, str) and value.lower().endswith(TABLES):
+        return value
     if isinstance(value, str) and (sieves := _SIEVES.fullmatch(value)):
         low, high, unit = sieves.group(1, 2, 3) if sieves[1] else sieves.group(5, 4, 6)
         value = [f"{low} {unit}", f"{high} {unit}"]
-    if isinstance(value, str) and value.lower().endswith((".csv", ".txt", ".tsv")):
-        return value
     if not isinstance(value, list | tuple) or len(value) not in (2, 3):
         raise ValueError(f"needs {SIZE_FORMS}")
     try:
@@ -37,6 +37,7 @@ def _read_sizes(value: object) -> tuple[float, ...] | str | None:
 
 
 MOST_PARTICLES = 500
+TABLES = (".csv", ".txt", ".tsv")  # endings of the names of files with numbers
 _SIEVES = re.compile(r"\s*([\d.]+)\s*(?:-|–|to)\s*([\d.]+)\s*(\D\S*)\s*|\s*-\s*([\d.]+)\s*\+\s*([\d.]+)\s*(\D\S*)\s*")
 SIZE_FORMS = (
     '"15-45 um" (sieves), ["18 um", "28 um", "42 um"] (D10, D50, D90 by mass) or the name of a .csv file with sizes'

@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import tomlkit
@@ -19,6 +20,7 @@ from .values import BySize, Quantity, Section
 Settings = Sequence[tuple[str, str | None]]
 
 _STEP = re.compile(r'("[^"]+"|[A-Za-z0-9_-]+)(?:\[(\d+)\])?(?:\.|$)')
+_NAMES_OF_FILES = ("file", "files", "sizes", "distribution")
 _DERIVED = re.compile(r"^# \w+ = .*\(from: .*\)\n", re.MULTILINE)  # written by `to_toml` below
 
 
@@ -74,16 +76,20 @@ def _fill(own: Container, full: Container) -> None:
             if isinstance(item, Table | AoT):
                 own.add(tomlkit.nl())
             own.append(key.key, item)
-        elif key.key == "file":
+        elif _is_file(key.key, item):
             own[key.key] = item
         elif isinstance(item, Table) and isinstance(own[key.key], Table):
             _fill(own[key.key].value, item.value)
         elif isinstance(item, Table | InlineTable) and isinstance(mine := own[key.key], Table | InlineTable):
-            mine.update({name: value for name, value in item.items() if name == "file"})
+            mine.update({name: value for name, value in item.items() if _is_file(name, value)})
         elif isinstance(item, AoT) and isinstance(own[key.key], AoT):
             for each, whole in zip(own[key.key].body, item.body, strict=True):
                 _fill(each.value, whole.value)
     own.body.extend(reversed(spaces))
+
+
+def _is_file(key: str, value: object) -> bool:
+    return key in _NAMES_OF_FILES and isinstance(value, str) and Path(value).is_absolute()
 
 
 def changed(text: str, settings: Settings) -> str:

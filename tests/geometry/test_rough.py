@@ -12,6 +12,8 @@ from PIL import Image
 from coupler import Scene, run
 from coupler.errors import SceneError
 from coupler.fe.mesh import prepare
+from coupler.files.height_maps import read_heights
+from coupler.files.inputs import InputError
 from coupler.geometry.mesher import cylinder
 from coupler.geometry.rough import Ground, heights, normal_under
 from coupler.plan.planning import plan
@@ -216,3 +218,10 @@ def test_a_particle_that_leaves_a_steep_slope_has_a_verdict(tmp_path: Path) -> N
     result = run(scene, tmp_path / "run", quiet=True, error=False)
     assert result.verdict == "rebounds"
     assert result.velocity_z_m_s < 0.0 < result.rebound_velocity_m_s
+
+
+def test_a_map_too_narrow_for_means_of_its_length_is_refused(tmp_path: Path) -> None:
+    """The strip of a profilometer: 4 lines of 4001 heights become means of 5 x 5."""
+    np.savetxt(tmp_path / "strip.csv", np.zeros((4, 4001)), delimiter=",")
+    with pytest.raises(InputError, match="too narrow: 4 rows and 4001 columns become means of 5 x 5"):
+        read_heights(tmp_path / "strip.csv")

@@ -1,5 +1,6 @@
 """Particles that are drawn from a table [coating], of one powder or of a blend."""
 
+import glob
 import math
 import re
 import tomllib
@@ -13,7 +14,8 @@ from coupler import Scene
 from coupler.errors import SceneError
 from coupler.physics.materials import material, mixed
 from coupler.plan.planning import plan
-from coupler.plan.powder import sizes_of
+from coupler.plan.powder import sizes_of, table_of
+from coupler.plan.solids import with_folders
 
 BLEND = """
 preset = "draft"
@@ -285,3 +287,40 @@ def test_a_composite_powder_has_the_density_of_both_materials() -> None:
 def test_a_core_that_cannot_be_is_refused(core: dict[str, object], more: dict[str, object], told: str) -> None:
     (problem,) = problems_with(particle__core=core, **more)
     assert told in problem
+
+
+def test_files_of_a_coating_are_found_from_any_folder(tmp_path: Path) -> None:
+    """The written scene has absolute names: other seeds of it are drawn in another folder."""
+    name = "15-45um.csv"  # no range of sieves
+    (tmp_path / "lab[1]").mkdir()
+    (tmp_path / "lab[1]" / name).write_text("# size (um), volume %\n15, 30\n20, 40\n25, 30\n30, 0\n")
+    text = BLEND.replace('sizes = "15-25 um"', f'sizes = "{name}"')
+    scene = Scene.from_text(text, str(tmp_path / "lab[1]" / "scene.toml"))
+    elsewhere = Scene.from_text(scene.to_toml(), str(tmp_path / "run" / "scene.toml"))
+    assert [p.diameter for p in elsewhere.with_(particle=None).particles] == [p.diameter for p in scene.particles]
+    ball = "solid a\nendsolid a\n"
+    (tmp_path / "lab[1]" / "a.stl").write_text(ball)
+    raw = {"coating": {"files": "*.stl", "powder": [{"files": "*.stl"}]}, "spray": {"distribution": "spot.csv"}}
+    with_folders(raw, str(tmp_path / "lab[1]" / "scene.toml"))  # type: ignore[arg-type]
+    patterns = raw["coating"]["files"], raw["coating"]["powder"][0]["files"]  # type: ignore[index]
+    assert all(glob.glob(pattern) == [str(tmp_path / "lab[1]" / "a.stl")] for pattern in patterns)
+    assert raw["spray"]["distribution"] == str(tmp_path / "lab[1]" / "spot.csv")
+
+
+def test_a_commented_heading_of_a_spot_has_its_units(tmp_path: Path) -> None:
+    (tmp_path / "spot.csv").write_text("# radius (cm),flow (g/s)\n0,3\n0.1,2\n0.3,1\n")
+    table = table_of("spot.csv", tmp_path)
+    assert (table.units, list(table.columns)) == ({"radius": "cm", "flow": "g/s"}, ["radius", "flow"])
+    rows = "\n".join(f"{15 + k} {10 + k % 3}" for k in range(12))
+    (tmp_path / "classes.csv").write_text(f"# a sieve\n{rows}\n")  # sizes 1 um apart are no line numbers
+    assert table_of("classes.csv", tmp_path).columns["x"][0] == 15.0
+    (tmp_path / "numbers.csv").write_text("# size (um), number %\n15, 40\n25, 60\n45, 0\n")
+    with pytest.raises(ValueError, match="has numbers of particles"):
+        sizes_of("numbers.csv", tmp_path)
+
+
+def test_the_core_of_a_particle_needs_an_oxide_film_too() -> None:
+    """The second particle meets the core of the first."""
+    core = {"material": "W", "share": 0.6}
+    problem = problems_with(adhesion={"kind": "cohesive", "criterion": "exposure"}, particle={"core": core})
+    assert any("W has no oxide film" in text for text in problem)
