@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         for key, value in each.values.items()
     ]
     write_rows(folder / NAMES[1], list(rows[0]), rows, about)
+    write_text(folder / NAMES[0], json.dumps(whole, indent=2) + "\n")  # pulls may fail
     console = Console(width=shutil.get_terminal_size((120, 30)).columns, highlight=False)
     for name, each in found.items():
         console.print(_head(name, each), table(each, seeds), sep="\n")

@@ -179,7 +179,10 @@ class Deposition:
         self.options.progress.stage("cooling to ambient temperature")
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
         t = target.target
-        thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(self.plan, target)}
+        e, fields = t.elements, cell_fields(self.plan, target)
+        hardening = {"eps_recovered": fields["eps_p"] - e.eps_p, "eps_gradient": e.eps_gradient}
+        thermal = {"thermal_stress": e.thermal_stress[:, VTK_ORDER], **fields}
+        thermal |= {name: values for name, values in hardening.items() if values.any()}
         self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, joint_fields(target), thermal)
         return target
 

@@ -91,7 +91,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     expands = bool(
         laws[0]["Gamma0"][0] and laws[0]["expansion"][0]
     )  # else heat does not change the volume of the substrate
-    shared = _contraction(*came[0], ambient) if expands else 0.0
+    shared = came[0][0].strain_between(came[0][1], ambient) if expands else 0.0
     _contract(t, shared)
     energies = [_missing_energy(*each, ambient, law, shared) for each, law in zip(came, laws, strict=True)]
     missing = np.array(energies)[t.law_of] * t.laws["expansion"][t.law_of] * t.mesh.V0
@@ -167,13 +167,6 @@ def _remove_heat(t: Target, ambient: float) -> None:
         t.balance.heat += add_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
 
 
-def _contraction(metal: Material, T: float, ambient: float) -> float:
-    """Linear thermal strain from T to ambient, K: from thermal_expansion, or from Gamma0 rho c_p / K if it is not known."""
-    middle = 0.5 * (T + ambient)
-    alpha = metal.thermal_expansion_at(middle) or metal.Gamma0 * metal.rho * metal.cp_at(middle) / (3.0 * metal.K)
-    return alpha * (ambient - T)
-
-
 def _contract(t: Target, strain: float) -> None:
     """Contract all bodies and the fixed faces in one step by the linear strain of the substrate. Energies change such that pressures
     stay constant, so that no element yields."""
@@ -197,10 +190,10 @@ def _energy_of(law: np.ndarray, strain: float) -> float:
 
 
 def _missing_energy(metal: Material, T: float, ambient: float, law: np.ndarray, shared: float) -> float:
-    """Energy (J/m3) with which the equation of state gives the strain of `_contraction`. Two parts are subtracted: the energy of the
-    strain `shared`, which all bodies have, and the heat from T to ambient (K). law: constants of the metal."""
+    """Energy (J/m3) with which the equation of state gives the strain of `Material.strain_between`. Two parts are subtracted: the
+    energy of the strain `shared`, which all bodies have, and the heat from T to ambient (K). law: constants of the metal."""
     heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T) if metal.Gamma0 else 0.0
-    return _energy_of(law, _contraction(metal, T, ambient)) - _energy_of(law, shared) - heat
+    return _energy_of(law, metal.strain_between(T, ambient)) - _energy_of(law, shared) - heat
 
 
 def _links(bodies: Bodies, size: float) -> list[Links]:

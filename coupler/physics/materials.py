@@ -149,6 +149,12 @@ class Material:
         """Coefficient of linear thermal expansion at T (K), 1/K."""
         return _interpolate(self.thermal_expansion, T)
 
+    def strain_between(self, T_0: float, T_1: float) -> float:
+        """Linear thermal strain from T_0 to T_1, K: from thermal_expansion, or from Gamma0 rho c_p / 3 K if it is not known."""
+        middle = 0.5 * (T_0 + T_1)
+        alpha = self.thermal_expansion_at(middle) or self.Gamma0 * self.rho * self.cp_at(middle) / (3.0 * self.K)
+        return alpha * (T_1 - T_0)
+
     def effusivity(self, T: float) -> float:
         """Thermal effusivity sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K). The heat of a contact is divided between two half-spaces in
         proportion to it."""
@@ -170,7 +176,8 @@ class Material:
         low, high = 0.0, _HARDEST
         if not reached(low) * (1 - 1e-9) <= wanted <= reached(high):
             unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
-            limits = f"{reached(low) / scale:.4g} to {reached(high) / scale:.4g} {unit}"
+            # the printed numbers are inside the limits
+            limits = f"{(1 + 5e-4) * reached(low) / scale:.4g} to {(1 - 5e-4) * reached(high) / scale:.4g} {unit}"
             law = f"{self.name} ({self.strength.label}) at plastic strains of 0 to {_HARDEST:g}"
             raise ValueError(f"is outside {limits}, the range of {law}")
         for _ in range(60):

@@ -77,6 +77,7 @@ def strengths(
     `film`. Effects of the film on the impacts are not included. Tied bonds never break: the strength is then the limit of plastic
     flow between the pores. Raises StoreError, as `properties` or without bond strengths, and SolverError, as `pull`."""
     plan, splats, metals = cold_coating(result)
+    films = films if plan.adhesion.criterion == "exposure" else (1.0,)
     data, law = splats.mesh.data, None
     if "bond_strength" in data:
         sound = data["bonded"][:, None]
@@ -93,18 +94,22 @@ def strengths(
         first = 0 if direction == "adhesion" else 1  # smallest number of an impact in the block; 0: the substrate
         sample = extract_sample(splats, metals, low if first else np.array([*low[:2], lowest]), high, law, first)
         own = np.flatnonzero(splats.impact[splats.body] >= first)[sample.block.parent]
-        state = data["eps_p"][own].astype(float), data["T"][own].astype(float)
+        hardening = data["eps_p"] - data.get("eps_recovered", 0.0)
+        gradient = data.get("eps_gradient", np.zeros((len(hardening), 3)))
+        eps_p, T, eta = (values[own].astype(float) for values in (hardening, data["T"], gradient))
         each, ground = films if law is not None else (None,), int(np.count_nonzero(splats.impact == 0))
-        found += [pull(sample.block, laws, *state, direction, film, ground) for film in each]
+        found += [pull(sample.block, laws, eps_p, T, eta, direction, film, ground) for film in each]
     return found
 
 
 def pull(
-    block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, direction: str, film: float | None = 1.0, ground: int = 1
+    block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, gradient: NDArray, direction: str, film: float | None = 1.0,
+    ground: int = 1,
 ) -> Pull:  # fmt: skip
-    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): strain and temperature (K) of each element; ground: the
-    first `ground` bodies are the substrate and its layers. Raises SolverError if a tetrahedron inverts before the peak."""
-    machine, greatest = Machine(block, laws, eps_p, T, AXES[direction], film), 0.0
+    """Pull a block along an axis. laws: LAW record of each body; eps_p, T (m,): hardening strain and temperature (K) of each element;
+    gradient (m,3) 1/m: of the strain; ground: the first `ground` bodies are the substrate and its layers. Raises SolverError if a
+    tetrahedron inverts before the peak."""
+    machine, greatest = Machine(block, laws, eps_p, T, gradient, AXES[direction], film), 0.0
     rows = [machine.row()]
     while rows[-1]["strain"] < MOST and rows[-1]["stress_Pa"] >= PARTED * greatest:
         try:
@@ -133,14 +138,16 @@ class Machine:
     """A block whose two faces normal to `axis` move apart. Arguments: as of `pull`. t, bond: bodies, and bonds between them; force N,
     work J: on the faces; damped J: energy that damping has dissipated; steps: number of steps so far."""
 
-    def __init__(self, block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, axis: int, film: float | None):
+    def __init__(
+        self, block: Block, laws: NDArray, eps_p: NDArray, T: NDArray, gradient: NDArray, axis: int, film: float | None
+    ):  # fmt: skip
         middle, self.axis, self.length = 0.5 * (block.low + block.high), axis, float(block.high[axis] - block.low[axis])
         mesh, order, by_reach = prepare_ordered(block.points, block.tets, tuple(middle))
         bodies, law_of = np.unique(block.body[by_reach], return_inverse=True)
         self.t = t = Target(mesh, laws[bodies], T[by_reach], law_of, fixed=(), track_wave=False)
-        e, none = t.elements, np.zeros((len(T), 3))
-        e.eps_p[:] = eps_p[by_reach]
-        e.sigma_y[:] = yield_stresses(t.laws, t.law_of, e.eps_p, e.T, none)
+        e = t.elements
+        e.eps_p[:], e.eps_gradient[:] = eps_p[by_reach], gradient[by_reach]
+        e.sigma_y[:] = yield_stresses(t.laws, t.law_of, e.eps_p, e.T, e.eps_gradient)
         self.bond = _bonds(block, np.argsort(order), t, film)
         self.relaxation = r = Relaxation(t, np.inf, MASSES)
         r.weigh(HighestFrequency(len(mesh.points), len(mesh.conn)), MASSES)
@@ -204,9 +211,11 @@ def _bonds(block: Block, node: NDArray, t: Target, film: float | None) -> Bond:
     law: dict[str, NDArray] = {}
     for k, direction in enumerate(("", "shear_") if film is not None else ()):
         strength, energy = joints.law[joints.bonded][:, [k, 2 + k]].T
-        width = 2.0 * (film or 0.0) * energy / strength
+        tied = strength == 0.0  # to a layer or a core
+        strength, energy = np.where(tied, np.inf, strength), np.where(tied, np.inf, energy)
+        width = np.where(tied, 0.0, 2.0 * (film or 0.0) * energy / np.where(tied, 1.0, strength))
         strength = np.where(width > 0.0, np.minimum(strength, 0.999 * stiffness * width), strength)
-        law |= {f"{direction}strength": strength, f"{direction}energy": 0.5 * strength * width}
+        law |= {f"{direction}strength": strength, f"{direction}energy": np.where(tied, np.inf, 0.5 * strength * width)}
 
     def tie(of: NDArray, **law: Any) -> Bond:
         rows, x = take(joints, of), t.nodes.x

@@ -110,8 +110,13 @@ def strip_of(result: Result, of: Properties, thickness: float, sprayed_at: float
         return np.append(np.full(BELOW, of_strip), np.broadcast_to(of_layers, n))
 
     def expansion(each: Material) -> float:
-        change = 0.0 if sprayed_at is None else (plan.ambient or sprayed_at) - sprayed_at
-        return each.thermal_expansion_at((sprayed_at or 0.0) + 0.5 * change) * change
+        if sprayed_at is None or plan.ambient is None:
+            return 0.0
+        strain = each.strain_between(sprayed_at, plan.ambient)
+        if strain == 0.0 and plan.ambient != sprayed_at:
+            give = f"give thermal_expansion under [materials.{each.name}]"
+            raise StoreError(f"{result.directory}: the thermal expansion of {each.name} is not known: {give}")
+        return strain
 
     modulus = of.values["E_in_plane"].mixed * np.minimum(share / of.solid, 1.0)
     return Strip(column(thickness / BELOW, step), column(base.E, modulus), column(base.nu, metal.nu),

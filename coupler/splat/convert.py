@@ -37,7 +37,9 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto") -> Splat:
         raise SplatError(f"element_size must be positive, is {element_size:g}: give a length")
     expected = TETS_PER_H3 * cloud.solid_volume / element_size**3
     if expected > MAX_ELEMENTS:
-        remedy = f"give a larger element size, at least {element_size * (expected / MAX_ELEMENTS) ** (1 / 3):.3g} m"
+        remedy = (
+            f"give a larger element size, at least {1.005 * element_size * (expected / MAX_ELEMENTS) ** (1 / 3):.3g} m"
+        )
         raise SplatError(f"this body would have {expected:.2g} elements of {element_size:.3g} m: {remedy}")
     start = clock.perf_counter()
     try:

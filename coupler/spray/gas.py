@@ -139,7 +139,7 @@ class Flow:
     def __post_init__(self) -> None:
         if self.p0 < (1 - 1e-12) * self.least_pressure:
             why = f"too low for nozzle {self.nozzle.name}, because a shock would stand in it"
-            least = f"give at least {self.least_pressure / 1e5:.4g} bar, or a nozzle with a smaller exit"
+            least = f"give at least {math.ceil(self.least_pressure / 100.0) / 1000.0:g} bar, or a nozzle with a smaller exit"
             raise ColdsprayError(f"pressure = {self.p0 / 1e5:.4g} bar: {why}: {least}")
         if self.layer > 0.9 * self.standoff:
             shock = f"the bow shock, which stands {self.layer * 1e3:.3g} mm before the target"

@@ -40,6 +40,8 @@ def compute(job: Job, folder: Path, tell: Callable[[str], None]) -> tuple[dict[s
     if not gun.efficiency_at(np.zeros(1))[0] > 0.0:
         at = f"{math.degrees(path.angle):.3g} degrees from the normal"
         raise SceneError([f"spray.efficiency: no powder sticks at {at}: change it, or spray.angle"], job.name)
+    if path.step is not None and path.step < (least := 2.0 * spot.reach / CELLS):
+        raise SceneError([f"spray.step = {1e3 * path.step:.3g} mm: give at least {1e3 * least:.2g} mm"], job.name)
     known: dict[str, Any] = {"version": __version__, "track": job.name, MIDDLE: [], WIDE: []}
     profiles = {}
     for name, lines in (("one pass", (0.0,)), ("raster", path.lines if path.passes else ())):

@@ -30,7 +30,7 @@ def pulled(
     """The block of cold-worked copper with equal bonds, as strong in shear."""
     law = np.tile([strength, strength, energy, energy], (len(block.joints.nodes), 1))
     m, bonded = len(block.tets), replace(block, joints=replace(block.joints, law=law))
-    return pull(bonded, LAWS, np.full(m, 0.5), np.full(m, 300.0), direction, film)
+    return pull(bonded, LAWS, np.full(m, 0.5), np.full(m, 300.0), np.zeros((m, 3)), direction, film)
 
 
 def share(block: Block) -> float:
@@ -118,7 +118,7 @@ def _pressed(block: Block) -> float:
     """Force on the faces of a block that move towards each other by 0.02 % of its height."""
     m, law = len(block.tets), np.zeros((len(block.joints.nodes), 4))
     block = replace(block, joints=replace(block.joints, law=law))
-    machine = Machine(block, LAWS, np.full(m, 0.5), np.full(m, 300.0), 2, 1.0)
+    machine = Machine(block, LAWS, np.full(m, 0.5), np.full(m, 300.0), np.zeros((m, 3)), 2, 1.0)
     machine.drift *= -1.0
     machine.t.nodes.v[:] = machine.drift
     return np.mean([machine.step() for _ in range(100)][-40:])
@@ -127,7 +127,7 @@ def _pressed(block: Block) -> float:
 def test_a_run_that_does_not_say_what_its_bonds_bear_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Older files of cohesive bonds have no strengths: these bonds are not tied."""
     plan, splats = (
-        SimpleNamespace(adhesion=SimpleNamespace(kind="cohesive")),
+        SimpleNamespace(adhesion=SimpleNamespace(kind="cohesive", criterion="exposure")),
         SimpleNamespace(mesh=SimpleNamespace(data={})),
     )
     monkeypatch.setattr("coupler.properties.pull.cold_coating", lambda result: (plan, splats, []))
