@@ -64,8 +64,8 @@ def cell_fields(plan: Plan, bodies: Bodies) -> dict[str, np.ndarray]:
 
 def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     """Output fields of the joints between bodies at rest. bonded: remaining share of the strength of a node's bond, 0 without a bond;
-    touching: 1 if a contact presses the node on another body. Of cohesive bonds also bond_strength (Pa) and bond_energy (J/m2), each
-    in tension and shear, before damage."""
+    touching: 1 if a contact presses the node on another body. With cohesive bonds also bond_strength (Pa) and bond_energy (J/m2), each
+    in tension and shear, before damage; zero of a tied bond."""
     n = len(bodies.target.nodes.x)
     bonded, touching, strength, energy = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
     if (bond := bodies.bond) is not None:
@@ -76,7 +76,9 @@ def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     if (contact := bodies.contact) is not None:
         nodes = contact.pairs.points.node
         touching[nodes[contact.pairs.touching(len(nodes))[0]]] = 1.0
-    law = {"bond_strength": strength, "bond_energy": energy} if np.isfinite(strength).all() else {}
+    breaks = np.isfinite(strength)  # layers and cores are tied, beside bonds that break
+    law = {"bond_strength": np.where(breaks, strength, 0.0), "bond_energy": np.where(breaks, energy, 0.0)}
+    law = law if strength[breaks].any() else {}
     return {"bonded": bonded, "touching": touching, **law}
 
 
@@ -142,14 +144,13 @@ class Recorder:
 
     def is_above(self, impact: Impact) -> bool:
         """Whether the centre of the particle is above the top face of the target, not beyond its rim."""
-        away = np.subtract([along.mean() for along in impact.particle.x[:, :2].T], self.plan.target.centre)
-        return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
+        return bool(np.hypot(*(along.mean() for along in impact.particle.x[:, :2].T)) < 0.5 * self.plan.target.diameter)
 
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
         """Record the extreme values that the validity check needs, and whether the particle reaches an edge of the target. skin (k,3)
         m: surface of the particle."""
         target, substrate = impact.target, self.plan.target
-        self.seen.extremes.note(impact.particle, target)
+        self.seen.extremes.note(impact.particle, target, substrate.materials[-1])
         if (index := self.impact_plan.brittle) is not None:
             limit = self.impact_plan.materials[index].tensile_limit
             at_points = tension(impact.particle.stress()[impact.particle.law_of == index])
@@ -159,7 +160,7 @@ class Recorder:
             stress = target.stress()[is_metal(target.laws, ceramic)[target.law_of]]
             ratio = float(tension(stress).max(initial=0.0)) / (ceramic.tensile_limit or np.inf)
             self.seen.base_tension = max(self.seen.base_tension, ratio)
-        beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
+        beside = np.hypot(*skin[:, :2].T) > 0.5 * substrate.diameter
         self.seen.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         facets = impact.contact.touching(len(skin))[1]
         self.seen.at_rim |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))

@@ -144,6 +144,8 @@ def _record(
             f"particle {recorder.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: check gap, angle and offset of"
             " [particle], or give a larger end.time"
         )
+    if signals:
+        keep()
     record = summarise(impact, recorder, ending, retries, watch.wall, watch.looped)
     if record.values["undecided"] is not None or record.values["rebounded"] is None:
         save_state()

@@ -331,7 +331,9 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
     for each in (law, *(law.between(*pair.metals) for pair in law.pairs)):
         yield from _bond_energy(d, each, catalogue)
     if law.criterion == "exposure":
-        for name in sorted({*scene.substrate.materials, *(p.material for p in scene.particles)} & set(catalogue)):
+        for name in sorted(
+            {*scene.substrate.materials, *(name for p in scene.particles for name in p.materials)} & set(catalogue)
+        ):
             try:
                 oxide_film(catalogue[name], catalogue[name])
             except ColdsprayError as error:
@@ -351,7 +353,7 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
 
 def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
     """Check that a bond's fracture energy is at least the energy that its springs store at its strength (`contact.bond.Bond`)."""
-    names = [*d.scene.substrate.materials, *(particle.material for particle in d.scene.particles)]
+    names = [*d.scene.substrate.materials, *(name for particle in d.scene.particles for name in particle.materials)]
     metals = [catalogue[name] for name in names if name in catalogue]
     if law.kind != "cohesive" or not metals:
         return

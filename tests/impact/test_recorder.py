@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 from blocks import cubes
 
-from coupler.impact.recorder import joint_fields
+from coupler.impact.recorder import Recorder, joint_fields
 
 
 def test_nodes_have_the_law_of_their_bonds_before_damage() -> None:
@@ -22,5 +22,19 @@ def test_nodes_have_the_law_of_their_bonds_before_damage() -> None:
     np.testing.assert_allclose(fields["bond_strength"][whole], np.tile([1e8, 4e7], (len(whole), 1)))
     np.testing.assert_allclose(fields["bond_energy"][whole], np.tile([0.5, 0.2], (len(whole), 1)))
     assert not fields["bond_strength"][bond.nodes[1]].any()
+    bond.strength[2:4], bond.energy[2:4] = np.inf, np.inf  # tied, as layers and cores are
+    tied = joint_fields(bodies)
+    assert not tied["bond_strength"][bond.nodes[2:4]].any()
+    assert tied["bond_strength"][bond.nodes[4], 0] == 1e8
     bodies.bond = pair.tie()
     assert set(joint_fields(bodies)) == {"bonded", "touching"}
+
+
+def test_the_rim_is_that_of_the_target_not_of_the_refined_part() -> None:
+    """A particle beyond the rim, whose offset is the centre of the refined elements."""
+    plan = SimpleNamespace(target=SimpleNamespace(centre=(75e-6, 0.0), diameter=200e-6), impacts=[])
+    recorder = Recorder.__new__(Recorder)
+    recorder.plan = cast(Any, plan)
+    at = lambda x: cast(Any, SimpleNamespace(particle=SimpleNamespace(x=np.array([[x, 0.0, 0.0], [x, 2e-6, 0.0]]))))  # noqa: E731
+    assert recorder.is_above(at(95e-6))
+    assert not recorder.is_above(at(105e-6))

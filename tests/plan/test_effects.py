@@ -162,24 +162,27 @@ def test_warnings_name_the_limit_that_was_left() -> None:
         record = SimpleNamespace(**state)
         return SimpleNamespace(
             points=record, nodes=record, elements=record, active_nodes=200, active_elements=200, law=laws[0], laws=laws[1],
-            law_of=(np.arange(200) > 190).astype(int),
+            law_of=(np.arange(200) > 190).astype(int), metals=SimpleNamespace(of_node=(np.arange(200) > 190).astype(int)),
         )  # fmt: skip
 
     at_rest = {"rate": 0.0 * one, "T": 300.0 * one, "J": one, "eps_p": 0.0 * one}
     calm = holding(**at_rest)
-    seen.note(calm, calm)
+    seen.note(calm, calm, steel)
     assert seen.warnings(1, {"particle": nickel, "target": steel}, True) == []
     wild = holding(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one, eps_p=one)
-    seen.note(wild, calm)
-    seen.note(calm, calm)  # what was stays
+    seen.note(wild, calm, steel)
+    seen.note(calm, calm, steel)  # what was stays
     (line,) = seen.warnings(2, {"particle": nickel, "target": steel}, True)
     assert line.startswith("impact 2: beyond the fitted range: particle (Ni, ")
     assert "strain rate 3.0e+07 1/s (99th percentile; fitted up to 1e+04)" in line
     assert "0.95 of the melting point (valid up to 0.9)" in line
     assert "target" not in line
-    splat = Extremes()  # of aluminium on steel: its melting point counts
-    splat.note(calm, holding(**at_rest | {"T": 850.0 * one}))
-    assert "0.99 of the melting point" in splat.warnings(1, {"particle": nickel, "target": steel}, True)[0]
+    splat = Extremes()  # of aluminium on steel: it counted in its own impact
+    hot = holding(**at_rest | {"T": np.where(np.arange(200) > 190, 0.97 * material("Al").T_m, 300.0)})
+    splat.note(calm, hot, steel)
+    assert splat.warnings(1, {"particle": nickel, "target": steel}, True) == []
+    splat.note(calm, hot, material("Al"))
+    assert "0.97 of the melting point" in splat.warnings(1, {"particle": nickel, "target": material("Al")}, True)[0]
     # a linear equation of state is 5 % short at that compression
     linear = greatest_compression(nickel, False)
     assert pressure(nickel, linear) / (nickel.K * linear) == pytest.approx(1.05, abs=0.004)
