@@ -13,6 +13,7 @@ from nicegui import events, run, ui
 
 from ..errors import ColdsprayError
 from ..files.inputs import read_text
+from ..files.result import PROPERTIES_FILE
 from ..physics import materials
 from ..scene.json_schema import job_schema, scene_schema
 from ..spray import nozzles
@@ -271,10 +272,12 @@ def _run(workspace: Workspace, name: str) -> None:
 
 
 def _report(workspace: Workspace, folder: Path, row: Row) -> str:
-    """Web address of the report of a finished run or job. The report of a run is rewritten first if results or properties are newer."""
+    """Web address of the report of a finished run or job. The report of a run is rewritten first if results, properties or other seeds
+    are newer."""
     if row.kind == JOB:
         return workspace.address(folder / "job.html")
-    page, told = folder / "report.html", (folder / "summary.json", folder / "properties" / "properties.json")
+    page, told = folder / "report.html", [folder / "summary.json", folder / PROPERTIES_FILE]
+    told += folder.glob("seeds/*/summary.json")
     written = page.stat().st_mtime if page.is_file() else 0.0
     if written < max(path.stat().st_mtime for path in told if path.is_file()):
         workspace.call("report", str(folder))

@@ -22,6 +22,7 @@ from ..files.summary import Summary, Values, impact_values, read_summary
 from ..measures import CONVERGING
 from ..plan.planning import Plan
 from ..plan.reading import Scene
+from ..plan.record import read_plan
 from ..plan.refinement import at_points, error, has_error
 
 FOLDER = "coarser"  # folder of the coarser runs, in the folder of the run; removed once the error is known
@@ -69,7 +70,7 @@ class Companions:
         found = self.all(threads)
         path = self.folder / SUMMARY
         summary = read_summary(path)
-        add_errors(summary, found)
+        add_errors(summary, found, bool(read_plan(self.folder).skipped))
         write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
@@ -102,12 +103,19 @@ def _in_own_process(companions: Companions, parent: int) -> None:
         companions.all(threads=1)
 
 
-def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
+def add_errors(summary: Summary, coarser: Mapping[int, Summary | str], skipped: bool = False) -> None:
     """Add to a summary the errors that follow from coarser runs: `errors` of each impact, `error` of the run, and a warning if a
-    verdict depends on the resolution. coarser: number of points -> summary or reason of the failure, the finer run first."""
-    whole = [found for found in coarser.values() if not isinstance(found, str)]
-    whole = [found for found in whole if len(found["impacts"]) == len(summary["impacts"])]
-    reasons = [f"{points} points: {found}" for points, found in coarser.items() if isinstance(found, str)]
+    verdict depends on the resolution. coarser: number of points -> summary or reason of the failure, the finer run first. skipped:
+    whether the run has skipped impacts: its impacts are then not those of the coarser runs."""
+    whole, reasons = list[Summary](), list[str]()
+    for points, found in coarser.items():
+        if isinstance(found, str):
+            reasons.append(f"{points} points: {found}")
+        elif skipped or len(found["impacts"]) != len(summary["impacts"]):
+            done = f"{len(found['impacts'])} impacts in place of {len(summary['impacts'])}"
+            reasons.append(f"{points} points: {'the run has skipped impacts' if skipped else done}")
+        else:
+            whole.append(found)
     summary["run"]["error"] = {"points": list(coarser), "failed": reasons}
     warnings = summary["run"].setdefault("warnings", [])
     for i, impact in enumerate(summary["impacts"]):

@@ -60,7 +60,7 @@ class BatchReplay:
             values = dict(zip(part.store.columns, row.tolist(), strict=True))
             store.record({**values, "time": part.before + values["time"]})
         for domain, steps in part.store.steps.items():
-            for step in range(steps):
+            for step in range(min(steps, len(own.times(domain)))):  # a power failure can lose stored fields
                 fields = own.fields(step, domain)
                 points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
                 if domain == "target":

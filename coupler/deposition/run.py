@@ -17,7 +17,7 @@ from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.provenance import command
 from ..files.result import Result
-from ..files.store import PICTURE, Store, WithoutFields
+from ..files.store import PICTURE, Store, WithoutFields, locked
 from ..impact.domains import build_particle
 from ..impact.loop import Probe
 from ..impact.run import RunOptions
@@ -212,7 +212,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
         return result
     if result.has_verdict and not result.undecided:
         checkpoint.clear(result.directory)
-    with interrupted_by(signal.SIGTERM), options.progress:
+    with locked(result.directory), interrupted_by(signal.SIGTERM), options.progress:
         if not (result.directory / PICTURE).exists():
             options.progress.stage("drawing the cross-section", of_impact=False)
             report.section_picture(result)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DOMAINS = ("particle", "surface", "target")
 HISTORY = "history.csv"
+PROPERTIES_FILE = "properties/properties.json"  # of the coating at the end of the run
 COLD = "cold"  # the bodies after the closing stage, one step
 STORED = (*DOMAINS, COLD)
 _CSV_MEMORY = 12  # memory while reading over the size of the file
@@ -44,6 +45,7 @@ class Result:
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
+        self._summary_at: tuple[int, int] | None = None  # time and size of the file that `_summary` is read from
         self._rows_at: tuple[int, int] | None = None  # time and size of the history that `_known_rows` are read from
         self._known_rows: tuple[list[str], NDArray[np.float64]] = [], np.zeros((0, 0))
 
@@ -83,8 +85,10 @@ class Result:
     @property
     def summary(self) -> Summary:
         """Contents of summary.json (docs/guide/files.md); empty before the end of the run. Raises StoreError if damaged."""
-        if not self._summary and self.finished:
-            self._summary = read_summary(self.directory / "summary.json")
+        path = self.directory / "summary.json"
+        now = (path.stat().st_mtime_ns, path.stat().st_size) if self.finished else None
+        if now != self._summary_at:  # a resumed run writes another one
+            self._summary, self._summary_at = read_summary(path) if now else {}, now
         return self._summary
 
     def impact(self, i: int = -1) -> Values:

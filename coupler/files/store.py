@@ -24,7 +24,7 @@ from ..errors import StoreError, UnreadableError
 from . import checkpoint
 from .fields import opened, times_of
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
-from .result import HISTORY, STORED, fields_file
+from .result import HISTORY, PROPERTIES_FILE, STORED, fields_file
 from .vtkhdf import Data, VtkHdfWriter, first_steps
 
 SCENE, PLAN, LOG = "scene.toml", "plan.json", "run.log"
@@ -72,7 +72,15 @@ class Store:
             store = cls(directory, lock_folder(directory))
             try:
                 # the summary first: without it the new run counts as unfinished
-                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in STORED)):
+                for name in (
+                    SUMMARY,
+                    PROPERTIES_FILE,
+                    PLAN,
+                    PICTURE,
+                    HISTORY,
+                    LOG,
+                    *(f"{domain}.vtkhdf" for domain in STORED),
+                ):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 if plan_json:
@@ -102,7 +110,8 @@ class Store:
         self._close_files()
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # it exists if the run was undecided
-            (self.directory / SUMMARY).unlink(missing_ok=True)
+            for name in (SUMMARY, PROPERTIES_FILE):
+                (self.directory / name).unlink(missing_ok=True)
         for domain in STORED:
             path = fields_file(self.directory, domain)
             with _named(path):
@@ -234,6 +243,17 @@ def lock_folder(directory: Path, wait: bool = False) -> int | None:
         os.close(descriptor)
         return None
     return descriptor
+
+
+@contextlib.contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """Context in which only this process writes to the folder. Raises StoreError if another process does (`lock_folder`)."""
+    lock = lock_folder(directory)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.inputs import parse_toml, read_json_object
-from ..files.result import Result
+from ..files.result import PROPERTIES_FILE, Result
 from ..files.summary import Summary, Values
 from ..measures import PROPERTIES, measure
 from . import words
@@ -130,7 +130,7 @@ def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
 
 def properties(result: Result) -> str:
     """Effective properties of the coating, from `properties.json`; "" if there is no such file. Raises StoreError if it is damaged."""
-    path = result.directory / "properties" / "properties.json"
+    path = result.directory / PROPERTIES_FILE
     if not path.is_file():
         return ""
     data: Values = read_json_object(path)

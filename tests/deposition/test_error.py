@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scenes
+from made_up_run import summary_of
 from scenes import scene_with, several
 
 from coupler import Result, Scene, run
@@ -203,3 +204,13 @@ def test_coarser_runs_go_beside_a_single_impact(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(SolverError, match="enough"):
         run(Scene.from_text(SMALL, "small"), tmp_path, quiet=True, error=True, jobs=4)
     assert beside == [True]
+
+
+def test_a_coarser_run_of_other_impacts_gives_no_error_and_says_so() -> None:
+    impacts = [{"points": 1000, "flattening_ratio": 0.5}] * 2
+    summary, shorter = summary_of(*impacts), summary_of({**impacts[0], "points": 250})
+    companions.add_errors(summary, {250: shorter})
+    assert summary["run"]["error"]["failed"] == ["250 points: 1 impacts in place of 2"]
+    companions.add_errors(summary, {250: summary_of(*impacts)}, skipped=True)
+    assert summary["run"]["error"]["failed"] == ["250 points: the run has skipped impacts"]
+    assert summary["impacts"][0]["errors"] == {}

@@ -312,3 +312,17 @@ def test_the_command_is_said_without_its_folder(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_coating_s_result_has_its_seed() -> None:
     assert provenance("[coating]\nseed = 7\n", "compiled")["seed"] == 7
+
+
+def test_a_result_reads_the_summary_of_a_run_that_went_on(folder: Path) -> None:
+    """Its history is read again, too: the number of rows in an old summary would make it look damaged."""
+    result = Result(folder)
+    assert result.summary == {}
+    (folder / "summary.json").write_text(json.dumps(summary_of({"points": 20})))
+    assert result.undecided is None
+    again = summary_of({"points": 20})
+    again["run"]["undecided"] = "it reached the time limit"
+    (folder / "summary.json").write_text(json.dumps(again))
+    assert result.undecided == "it reached the time limit"
+    (folder / "summary.json").unlink()
+    assert result.summary == {}

@@ -454,3 +454,13 @@ def test_a_stored_step_is_known_by_its_time_in_a_long_coating(tmp_path):
     result = Result(tmp_path)
     assert [impact_at(result, end) for end in ends] == list(range(1, 221))
     assert [impact_at(result, end + 1e-15) for end in ends[:-1]] == list(range(2, 221))
+
+
+def test_properties_of_a_coating_go_with_its_results(tmp_path):
+    """The report shows those of this run only."""
+    for start in (lambda: Store.create(tmp_path, "", force=True), lambda: Store.reopen(tmp_path)):
+        (tmp_path / "properties").mkdir(exist_ok=True)
+        (tmp_path / "properties" / "properties.json").write_text("{}")
+        with start() as store:
+            store.go_on(None, print)
+        assert not (tmp_path / "properties" / "properties.json").exists()
