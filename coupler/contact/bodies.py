@@ -55,8 +55,11 @@ class BodyContact(BodyContactState):
 
     pairs: Contact
 
-    def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
-        """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient."""
+    def __init__(
+        self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float, ground: int = 1
+    ):
+        """x (N,3) m: positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; ground: the first `ground` bodies are the
+        substrate and its layers."""
         self.surfaces = surfaces
         self._is_new = True  # bonds before the first search are not new: no history is cleared
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
@@ -68,7 +71,7 @@ class BodyContact(BodyContactState):
         ]
         nodes = [surfaces.nodes_of(body) for body in bodies]
         node = np.concatenate([np.zeros(0, np.int64), *nodes])
-        self._facing = self._facets_around(x, bodies)
+        self._facing = self._facets_around(x, bodies, ground)
         pairs = Contact(
             surfaces.body_of_node[node], surfaces.facets, surfaces.body, k_of, spacing, friction, jump=JUMP, node=node,
             facing=self._facing, skin=SKIN,
@@ -81,12 +84,12 @@ class BodyContact(BodyContactState):
         self._behind = np.divmod(behind[np.diff(behind, prepend=-1) > 0], elements)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
-    def _facets_around(self, x: np.ndarray, bodies: Sequence[int]) -> list[np.ndarray]:
+    def _facets_around(self, x: np.ndarray, bodies: Sequence[int], ground: int) -> list[np.ndarray]:
         """For each body: indices of the facets of other bodies that it can touch during an impact. The bounding box of such a facet is
         closer to the body's bounding box than half the longest edge of all splats' boxes."""
         s = self.surfaces
         low, high = s.boxes(x)
-        boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
+        boxes, reach = broad.boxes_of(x, s.facets), 0.5 * float((high - low)[ground:].max(initial=0.0))
         return [
             broad.boxes_within(*boxes, s.facets_of(*neighbours(low, high, b, reach)), low[b] - reach, high[b] + reach)
             for b in bodies

@@ -213,12 +213,14 @@ class Target(TargetState):
         x, J = self.nodes.x, self.nodes.J
         share(lambda lo, hi: k.stable_dt(lo, hi, x, J, self.cells, self.metals, self.dt_of), m, LEAST_ELEMENTS)
 
-    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Links | None = None) -> float:
+    def stable_dt(
+        self, enough: float = 0.0, ahead: float = 0.0, springs: Links | None = None, alone: float | None = None
+    ) -> float:  # fmt: skip
         """Largest stable time step, s, with safety factors and damping.
 
         enough (s): if the safe bound of the elements is shorter than this, the sharper limit of the whole mesh is computed
         (`fe.stability`); ahead (s): time for which the step is kept: elements that become active in this time count too; springs:
-        between nodes.
+        between nodes; alone (s): step of the bodies that is enough together with other springs, default `enough`.
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
@@ -229,11 +231,11 @@ class Target(TargetState):
         if springs is not None:
             load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
-        dt, enough = safety.ELEMENTS * bound, enough * (1.0 + LINEAR_VISCOSITY)
-        if dt < enough:
+        dt, needed = safety.ELEMENTS * bound, (enough if alone is None else alone) * (1.0 + LINEAR_VISCOSITY)
+        if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self.highest is None:
                 self.highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
-            dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia, enough=enough))
+            dt = max(dt, self.highest.longest_step(self, bound, n, e, springs, self.inertia, enough=needed))
         return dt / (1.0 + LINEAR_VISCOSITY)
 
     def advance(self, dt: float, is_conducting: bool = True) -> None:

@@ -26,7 +26,7 @@ class Relaxation:
             own = t.elements.heat[:m].copy()
             t.elements.heat[:m] = 0.0
             t.advance(dt, is_conducting=False)
-            t.elements.heat[:m] = own
+            t.elements.heat[:m] += own  # beside the heat of plastic work in this step
         t.activate_all(radius)
         self.fixed = np.union1d(t.fixed, outside(t.mesh, t.active_elements, t.active_nodes))
         self.free = t.inv_mass > 0.0

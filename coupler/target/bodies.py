@@ -66,7 +66,8 @@ class Bodies:
     def contact(self) -> BodyContact | None:
         """The contact between the bodies. It is made when it is first needed."""
         if self._contact is None and self._past is not None and self.placed is not None:
-            self._contact = BodyContact(self.surfaces, self.placed, self.target.laws["K"].tolist(), self.friction)
+            K, ground = self.target.laws["K"].tolist(), int(np.count_nonzero(self.impact == 0))
+            self._contact = BodyContact(self.surfaces, self.placed, K, self.friction, ground)
             self._contact.continue_from(self._past)
         return self._contact
 
@@ -130,9 +131,13 @@ class Bodies:
 
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable time step (s) of the target with the springs between its bodies. enough, ahead: see `Target.stable_dt`."""
-        t = self.target
-        dt = t.stable_dt(enough, ahead, self.bond.springs() if self.bond is not None else None)
-        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.active_after(np.inf))
+        t, springs = self.target, self.bond.springs() if self.bond is not None else None
+        if self.contact is None:
+            return t.stable_dt(enough, ahead, springs)
+        moving = t.active_after(np.inf)
+        of_contact = self.contact.stable_dt(t.mass, moving=moving)
+        alone = 1.0 / np.sqrt(1.0 / enough**2 - 1.0 / of_contact**2) if 0.0 < enough < of_contact else np.inf
+        return self.contact.stable_dt(t.mass, t.stable_dt(enough, ahead, springs, alone), moving)
 
     def springs(self) -> list[Links]:
         """Tables of the springs of bonds and contact between the bodies. Call `search` first."""
