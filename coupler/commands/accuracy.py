@@ -2,11 +2,11 @@
 
 import argparse
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, SceneError
 from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands, Option
@@ -90,12 +90,27 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     from ..plan.text import duration
 
     limit = options.quantity("--within", "time")(within) if within else math.inf
+    if within:
+        from ..ranks.ranks import arrange
+
+        if arrange().size > 1:
+            raise ColdsprayError("--within is for one process: under mpiexec give resolution.spacing, or --accuracy")
     asked = options.share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]
     # the smallest particle needs enough points, too
     coarsest = max(LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes)))
     pace = here() if within else None
+
+    def is_allowed(points: int) -> bool:
+        try:
+            at_points(scene, points)
+        except SceneError:
+            return False
+        return True
+
+    allowed = range(coarsest, max(MOST, coarsest) + 1)
+    coarsest = allowed[min(bisect_left(allowed, True, key=is_allowed), len(allowed) - 1)]
 
     def time_of(points: int) -> float:
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0

@@ -3,7 +3,7 @@
 import argparse
 from functools import partial
 
-from ..errors import StoreError
+from ..errors import ColdsprayError, StoreError
 from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands, continuing, jobs_of, quantity, remake, scene_of, share, study_folder, teller
@@ -47,7 +47,10 @@ def run(arguments: argparse.Namespace) -> int:
         bracket, rows = critical.search(scene, out, *how)
         for points in companions(scene) if scene.resolution.error and bracket.velocity else ():
             say(f"measuring the error of the resolution: the same search with {points} points")
-            coarser[points] = critical.search(at_points(scene, points), out / f"{points}_points", *how)[0]
+            try:
+                coarser[points] = critical.search(at_points(scene, points), out / f"{points}_points", *how)[0]
+            except ColdsprayError as problem:
+                say(f"the error of the resolution is measured without {points} points: {problem}")
     error = critical.resolution_error(scene, bracket, coarser)
     critical.draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)

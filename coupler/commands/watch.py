@@ -2,10 +2,12 @@
 
 import argparse
 import time
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import StoreError
 from ..files.inputs import last_lines, reading
 from ..files.outputs import claim_file
 from .arguments import Commands, add_command, add_force, path, seconds
@@ -68,7 +70,9 @@ def _coating(run: Path, impact: int) -> str:
     from ..files.result import Result
     from ..studies.coating import growth_line, latest
 
-    return f"\n  coating {growth_line(latest(Result(run)))}" if impact > 1 else ""
+    with suppress(StoreError):  # no fields after the first splat yet
+        return f"\n  coating {growth_line(latest(Result(run)))}" if impact > 1 else ""
+    return ""
 
 
 def _written(path: Path) -> float:

@@ -14,7 +14,7 @@ from ..files.inputs import SCENE_LIMIT, leaves, read_text, toml_of
 from ..measures import STICKS
 from ..physics import materials
 from ..physics.materials import Material
-from ..physics.shapes import sphere_volume
+from ..physics.shapes import form, sphere_volume
 from ..scene.coating import MOST_PARTICLES
 from ..scene.job import JobData, Powder
 from ..scene.messages import in_words
@@ -216,6 +216,9 @@ class Job:
         radius = part.disc * math.sqrt(sum(n * self.medians[name] ** 2 for name, n in self.by_number.items()))
         spacing = min(cost.spacing(sphere_volume(D), n) for D, n in ((largest, part.points), (smallest, self.room)))
         height = max(3.0 * median, 21.0 * body.roughness) + sum(layer.thickness for layer in body.layer)
+        shapes = ["sphere", *(shape for name in self.stays for shape in self.powders[name].table.shapes or {})]
+        widest = largest * max(length for shape in shapes for length in form(shape, 1.0).lengths)
+        wide = 2.0 * radius + max(3.7 * median, 1.05 * (largest + widest))
         powders = [self._drawn(name, *ranges[name]) for name in self.stays]
         names = [*(name for each in self.stays for name in self.powders[each].table.materials), *body.materials]
         return Scene.from_dict({
@@ -223,7 +226,7 @@ class Job:
             "coating": {
                 "number": part.number, "layers": part.layers, "radius": _um(radius), "positions": "even", "seed": seed,
             } | ({"powder": powders} if len(powders) > 1 else powders[0]),
-            "substrate": {"diameter": _um(2.0 * radius + 3.7 * median), "height": _um(height)} | self.raw["substrate"],
+            "substrate": {"diameter": _um(wide), "height": _um(height)} | self.raw["substrate"],
             "adhesion": {"kind": "tied", "criterion": "all"}, "output": {"at": "ends"},
             "resolution": {"spacing": _um(spacing)}, "materials": self._materials(*names), "nozzles": self.raw["nozzles"],
         }, str(self.folder / f"{self.name}_coating"))  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import units
 from ..errors import StoreError
 from ..files.inputs import parse_toml
-from ..files.result import COLD, Result, first_step
+from ..files.result import COLD, Result, first_step, impact_at
 from ..geometry.tetrahedra import volumes
 from ..measures import BROKEN, EMBEDDED, REBOUNDS, UNDECIDED
 from ..physics.shapes import sphere_volume
@@ -42,6 +42,8 @@ def read(result: Result, before: int | None = None) -> Splats:
     done = before or int(numbers.max())
     is_cold = before is None and len(result.times(COLD)) > 0
     mesh = result.fields(-1 if before is None else first_step(result, before), COLD if is_cold else "target")
+    if not is_cold:  # with fields of ends only, the impact that is computed has none yet
+        done = min(done, impact_at(result, mesh.time))
     if "impact" not in mesh.data:
         raise StoreError(
             f"{result.directory} has no field 'impact' for its elements: run the scene again with this version"

@@ -156,7 +156,7 @@ def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
     discretisation: they move the particle by up to half an element in x and y, make a new mesh of the target, and rotate the points
     of a sphere by up to 45 degrees about y."""
     data = tomllib.loads(scene.to_toml())
-    particle = data["particle"]
+    particle = data["particle"][0] if isinstance(data["particle"], list) else data["particle"]
     particle["velocity"] = f"{velocity:.6g} m/s"
     if placement:
         x, y, turn = (placement * step % 1.0 for step in SEQUENCE)

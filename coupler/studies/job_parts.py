@@ -105,7 +105,7 @@ def bonds(job: Job, found: Mapping[Search, Bracket]) -> dict[tuple[str, str], Bo
 def coatings(job: Job, part: Coatings, out: Path, jobs: int, log: Log) -> Coating:
     """Compute the coatings of all seeds, and measure them."""
     folder = out / "coatings"
-    name = f"{part.number}x{part.points}_seed_{{}}"
+    name = f"{part.number}x{part.points}x{part.layers}_seed_{{}}"
     points = {name.format(k): job.coating(part, k).to_toml() for k in range(1, part.seeds + 1)}
     found, failed = results(folder, points, jobs, log)
     measures, properties = {}, {}

@@ -310,7 +310,10 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
     words = {"particle.material": near["material"]}
     for key, value in sorted(changes.items()):  # diameter, then velocity, as a sweep
         unit = near["units"].get(key, "")
-        set_key(data, key, units.show(value, unit) if unit else value)
+        try:
+            set_key(data, key, units.show(value, unit) if unit else value)
+        except ValueError as problem:
+            raise StoreError(f"a new point cannot be computed ({problem}): choose other axes with --axes") from None
         if KEYS.get(key, key) in at:
             words[key] = units.rounded(value, unit, DIGITS) if unit else f"{value:.{DIGITS}g}"
     run_point(folder, point := point_name(words), toml_text(data))

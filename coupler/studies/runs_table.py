@@ -80,7 +80,9 @@ def _found(folder: Path, name: str) -> Row:
     status = "done" if result.undecided is None else "undecided"
     row |= {"status": status, "version": str(values["version"]), "reason": result.undecided or "", "verdict": verdict}
     row |= {"material": impact.material.name, "substrate": plan.target.material.name}
-    row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
+    row |= dict(
+        zip(AXES, (float(f"{np.linalg.norm(impact.velocity):.12g}"), impact.diameter, impact.temperature), strict=True)
+    )
     row |= {key: _number(values.get(key)) for key in MEASURES}
     return row | {f"{key}_error": _number(entry["half_width"]) for key, entry in (values.get("errors") or {}).items()}
 

@@ -19,7 +19,7 @@ from ..files.inputs import InputError, read_toml, similar
 from ..plan.own import with_library
 from ..plan.reading import Scene
 from ..plan.solids import with_folders
-from ..scene.model import safe_name
+from ..scene.model import particle_tables, safe_name
 from ..scene.toml import set_key, toml_text
 from .runs import run_points
 
@@ -238,8 +238,8 @@ def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)
-    particle = scene.get("particle")
-    diameter = particle.get("diameter") if isinstance(particle, dict) else None
+    particles = particle_tables(scene)
+    diameter = particles[0].get("diameter") if len(particles) == 1 else None
     try:
         size = units.parse(diameter, "length")
     except units.UnitError:

@@ -270,3 +270,10 @@ def test_a_powder_too_rare_for_a_coating_is_told_with_its_number(tmp_path: Path)
         SceneError, match=r"powder\[2\] has no particle, because its share is small: give a larger share"
     ):
         job_of(tmp_path, text).check()
+
+
+def test_rods_have_room_on_the_substrate_of_a_coating(tmp_path: Path) -> None:
+    """A rod is three diameters long; the job itself has no key for the width of its coatings."""
+    job_of(
+        tmp_path, TEXT.replace('sizes = "15-45 um"', 'sizes = "15-45 um"\nshapes = { sphere = 0.7, rod = 0.3 }')
+    ).check()

@@ -14,7 +14,7 @@ from study_table import read_rows, table_rows
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
 from coupler.commands.arguments import study_folder
-from coupler.errors import ColdsprayError, SolverError, StoreError
+from coupler.errors import ColdsprayError, SceneError, SolverError, StoreError
 from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
 from coupler.plan import refinement
@@ -178,3 +178,13 @@ def test_the_command_computes_a_scene_at_several_numbers_of_points(
     assert [r["points"] for r in found] == ["200", "300"]
     assert all(float(r["flattening_ratio_total"]) > 0.0 and not r["failed"] for r in found)
     assert (tmp_path / "out" / "accuracy.png").is_file()
+
+
+@pytest.mark.usefixtures("known_pace")
+def test_numbers_of_points_that_a_scene_refuses_are_not_chosen():
+    """Small pores need a fine spacing."""
+    porous = scene_with(particle__porosity=0.03, particle__pore_diameter="4 um")
+    with pytest.raises(SceneError):
+        refinement.at_points(porous, 300)
+    made, _ = command.chosen(porous, None, "60%")
+    assert made.derived.points > 300

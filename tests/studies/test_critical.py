@@ -283,3 +283,8 @@ def test_a_scene_without_computed_bonds_is_refused(
     file.write_text(scene(("Ni", 25, 500), **TINY, more=HELD.format(50)))
     assert main(["critical", str(file), "--low", "500 m/s", "--high", "400 m/s"]) == 2
     assert "--low" in capsys.readouterr().err
+
+
+def test_a_scene_may_list_its_only_particle() -> None:
+    text = scene(("Ni", 25, 500), **TINY, more=EXPOSED).replace("[particle]", "[[particle]]")
+    assert Scene.from_text(critical.at_velocity(Scene.from_text(text, "ni"), 600.0), "ni").particle.velocity == 600.0
