@@ -12,6 +12,11 @@ def is_first_rank() -> bool:
     return all(os.environ.get(name, "0") == "0" for name in _RANK)
 
 
+def is_only_process() -> bool:
+    """Whether no launcher of MPI has started this process."""
+    return not any(name in os.environ for name in _RANK)
+
+
 class ColdsprayError(Exception):
     """An error that the user can correct: the message names the field or file and the remedy."""
 

@@ -109,8 +109,13 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
             return False
         return True
 
-    allowed = range(coarsest, max(MOST, coarsest) + 1)
-    coarsest = allowed[min(bisect_left(allowed, True, key=is_allowed), len(allowed) - 1)]
+    fine = coarsest  # a number that the scene allows: large ones can need too much memory, small ones are too coarse for its details
+    while fine < MOST and not is_allowed(fine):
+        fine = min(2 * fine, MOST)
+    between = range(max(coarsest, fine // 2), fine + 1)
+    coarsest = (
+        between[min(bisect_left(between, True, key=is_allowed), len(between) - 1)] if is_allowed(fine) else coarsest
+    )
 
     def time_of(points: int) -> float:
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0

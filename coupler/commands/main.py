@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from .. import __version__
 from ..core.process import interrupted_by, search_cycles_less
-from ..errors import ColdsprayError, is_first_rank
+from ..errors import ColdsprayError, is_first_rank, is_only_process
 from ..files.inputs import bounded_memory, reading
 from ..files.outputs import RUN_FILES, check_folder, claim_file, claim_folder, keep_inputs
 from ..units import nearest
@@ -236,7 +236,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from ..geometry import apart
 
-    if is_first_rank():
+    if is_only_process():
         apart.begin()  # gmsh loads meanwhile
     from ..deposition.run import run
 

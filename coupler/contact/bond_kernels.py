@@ -169,8 +169,8 @@ def bond_forces(
         slip = sqrt(slip2)
         share, part, D = yielding(wide, slip, k, b.inv_strength[i], b.inv_energy[i], b.damage[i], most)
         if share + part > 0.0:
+            b.gap[i] += share * wide if b.damage[i] < 1.0 else 0.0  # surfaces that are apart leave nothing between them
             b.damage[i] = D
-            b.gap[i] += share * wide
             b.slid[i] += part * slip
             # the bond's point moves on the triangle: dw = grad w . (part s)
             db = part * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size

@@ -183,7 +183,8 @@ class Deposition:
         hardening = {"eps_recovered": fields["eps_p"] - e.eps_p, "eps_gradient": e.eps_gradient}
         thermal = {"thermal_stress": e.thermal_stress[:, VTK_ORDER], **fields}
         thermal |= {name: values for name, values in hardening.items() if values.any()}
-        self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, joint_fields(target), thermal)
+        joints = joint_fields(target, self.plan.adhesion.kind == "cohesive")
+        self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, joints, thermal)
         return target
 
     def finish(self, target: Bodies) -> None:

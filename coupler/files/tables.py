@@ -2,12 +2,14 @@
 
 import csv
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import units
 from .inputs import open_input
 
 # these patterns take linear time in the length of a line
@@ -58,7 +60,9 @@ def read_table(text: str, names: list[str] | None = None, axes: str = "xyz") -> 
         above = {line: _titles(line, separator, len(rows[0]), axes) for line in lines[:first] if line}
         left_out = [line for line, titles in above.items() if titles is None and not line.startswith(_COMMENT)]
         notes += [f"a line above the numbers is ignored: {line[:60]!r}" for line in left_out]
-        names = next((titles for titles in reversed(above.values()) if titles is not None), None)
+        # the last line of names; above two columns a comment only if there is no other
+        order = sorted(reversed(above), key=lambda line: axes == "xy" and line.startswith(_COMMENT))
+        names = next((above[line] for line in order if above[line] is not None), None)
         if names is None:
             x, told = _unnamed(columns, axes)
             return Table(x, {}, [*notes, *told])
@@ -126,16 +130,23 @@ def _values(rows: list[list[str]], lines: list[int], separator: str) -> tuple[Co
 
 def _titles(line: str, separator: str, count: int, axes: str) -> list[str] | None:
     """The `count` column names in a line above the numbers; None if it is no heading. A comment is one if it names x, y and z; in a
-    table of two columns, if a name has a unit."""
+    table of two columns, if a name has a unit of length."""
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
         names = _fields(line if between else re.sub(r"(?<!\s)\s+(?=[\[(])", "", line), between)
         bare = {_UNIT.sub("", name).strip().lower() for name in names}
-        said = {"x", "y", "z"} <= bare if axes == "xyz" else any(map(_UNIT.search, names))
+        said = {"x", "y", "z"} <= bare if axes == "xyz" else any(map(_has_length, names))
         if len(names) == count and (said or not is_comment):
             return names
     return None
+
+
+def _has_length(name: str) -> bool:
+    unit = _UNIT.search(name)
+    with suppress(units.UnitError):
+        return unit is not None and units.parse(f"1 {unit[1].strip()}", "length") > 0.0
+    return False
 
 
 def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]], list[str]]:

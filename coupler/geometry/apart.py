@@ -78,12 +78,12 @@ def _done(process: subprocess.Popen[bytes], call: tuple[bytes, str, float]) -> t
         with suppress(BrokenPipeError):
             pickle.dump(call, stdin)
             stdin.flush()
-        code = stdout.readline()
+        code = int(answer) if (answer := stdout.readline()) else None
     except BaseException:  # an interrupt: the answer of this call must not become that of the next
         end()
         raise
-    if code:
-        return int(code), (Path(call[1]) / ERRORS).read_text(errors="replace")
+    if code is not None:
+        return code, (Path(call[1]) / ERRORS).read_text(errors="replace")
     return process.wait(), stderr.read().decode(errors="replace")
 
 
@@ -118,7 +118,8 @@ def _compute(call: bytes, folder: Path, time_limit: float) -> NoReturn:
 if __name__ == "__main__":
     from . import mesher
 
-    mesher.load()
-    with suppress(EOFError):  # the process that makes the calls has ended
+    with os.fdopen(os.dup(1), "w") as answers, suppress(EOFError):  # the process that makes the calls has ended
+        os.dup2(2, 1)  # gmsh may print when it loads
+        mesher.load()
         while True:
-            print(_fork(*pickle.load(sys.stdin.buffer)), flush=True)
+            print(_fork(*pickle.load(sys.stdin.buffer)), file=answers, flush=True)

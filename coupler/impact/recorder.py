@@ -62,10 +62,10 @@ def cell_fields(plan: Plan, bodies: Bodies) -> dict[str, np.ndarray]:
     return {**own, "T": t.elements.T, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
-def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
+def joint_fields(bodies: Bodies, are_cohesive: bool) -> dict[str, np.ndarray]:
     """Output fields of the joints between bodies at rest. bonded: remaining share of the strength of a node's bond, 0 without a bond;
-    touching: 1 if a contact presses the node on another body. With cohesive bonds also bond_strength (Pa) and bond_energy (J/m2), each
-    in tension and shear, before damage; zero of a tied bond."""
+    touching: 1 if a contact presses the node on another body. are_cohesive: whether bonds can break; the fields then include
+    bond_strength (Pa) and bond_energy (J/m2), each in tension and shear, before damage; zero for a tied bond."""
     n = len(bodies.target.nodes.x)
     bonded, touching, strength, energy = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
     if (bond := bodies.bond) is not None:
@@ -78,8 +78,7 @@ def joint_fields(bodies: Bodies) -> dict[str, np.ndarray]:
         touching[nodes[contact.pairs.touching(len(nodes))[0]]] = 1.0
     breaks = np.isfinite(strength)  # layers and cores are tied, beside bonds that break
     law = {"bond_strength": np.where(breaks, strength, 0.0), "bond_energy": np.where(breaks, energy, 0.0)}
-    law = law if strength[breaks].any() else {}
-    return {"bonded": bonded, "touching": touching, **law}
+    return {"bonded": bonded, "touching": touching, **(law if are_cohesive else {})}
 
 
 class Recorder:
@@ -150,7 +149,7 @@ class Recorder:
         """Record the extreme values that the validity check needs, and whether the particle reaches an edge of the target. skin (k,3)
         m: surface of the particle."""
         target, substrate = impact.target, self.plan.target
-        self.seen.extremes.note(impact.particle, target, substrate.materials[-1])
+        self.seen.extremes.note(impact.particle, target, impact.bodies.impact == 0)
         if (index := self.impact_plan.brittle) is not None:
             limit = self.impact_plan.materials[index].tensile_limit
             at_points = tension(impact.particle.stress()[impact.particle.law_of == index])

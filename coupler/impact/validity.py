@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..fe.explicit import Target
-from ..physics.constitutive import is_metal
 from ..physics.materials import Material
 from ..plan.remarks import BEYOND_FIT, NEAR_MELTING
 from ..ranks.distributed import DistributedParticle
@@ -48,19 +47,20 @@ def _percentile(values: np.ndarray) -> float:
 @dataclass
 class Extremes:
     """Extreme strain rates, strains and temperatures of particle and target, for the check of validity. Of a particle with a core
-    only the shell counts; of the target only the metal of the substrate, as each splat counts in its own impact."""
+    only the shell counts; of the target only the substrate with its layers, as each splat counts in its own impact."""
 
     particle: Extreme = field(default_factory=Extreme)
     target: Extreme = field(default_factory=Extreme)
 
-    def note(self, particle: DistributedParticle, target: Target, base: Material) -> None:
-        """Include the present values of the particle and of the active part of the target. base: metal of the substrate."""
+    def note(self, particle: DistributedParticle, target: Target, ground: np.ndarray) -> None:
+        """Include the present values of the particle and of the active part of the target. ground: mask (bodies,) of the substrate and
+        its layers."""
         n, m, p, e = target.active_nodes, target.active_elements, particle.points, target.elements
         shell = particle.law_of == 0
         self.particle.note(p.rate[shell], p.T[shell] / particle.law["T_m"][0], p.eps_p[shell], p.J[shell])
-        is_base = is_metal(target.laws, base)
-        own, J = is_base[target.law_of[:m]], target.nodes.J[:n][is_base[target.metals.of_node[:n]]]
-        self.target.note(e.rate[:m][own], e.T[:m][own] / base.T_m, e.eps_p[:m][own], J)
+        own, J = ground[target.law_of[:m]], target.nodes.J[:n][ground[target.metals.of_node[:n]]]
+        melting = e.T[:m] / target.laws["T_m"][target.law_of[:m]]
+        self.target.note(e.rate[:m][own], melting[own], e.eps_p[:m][own], J)
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
         """Warnings about exceeded limits of models. impact: number of the impact, from 1; materials: of "particle" and "target"."""

@@ -2,6 +2,7 @@
 
 import glob
 import math
+import os
 import random
 from bisect import bisect
 from collections.abc import Mapping, Sequence
@@ -98,7 +99,11 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
 def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -> Fed:
     """A powder with its files. folder: folder to which their names are relative. Raises ValueError; the message begins with the name
     of the field."""
-    files = sorted(map(Path, glob.glob(str(folder / powder.files), recursive=True))) if powder.files else []
+    files = (
+        sorted(map(Path, glob.glob(str(folder / os.path.expanduser(powder.files)), recursive=True)))
+        if powder.files
+        else []
+    )
     named = {"material": powder.material} | ({"core.material": powder.core.material} if powder.core else {})
     for key, name in named.items():
         if name not in catalogue:

@@ -1,5 +1,6 @@
 """The sizes of a powder, from a scene or job, or from the file of a particle-size analyser."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def sizes_of(sizes: tuple[float, ...] | str, folder: Path) -> Sizes:
 def table_of(name: str, folder: Path) -> Table:
     """The table of a file with two or more columns. folder: folder to which the file name is relative. Raises ValueError with the
     problem of the file."""
-    path = folder / Path(name).expanduser()
+    path = folder / os.path.expanduser(name)
     try:
         return read_table(read_any_text(path, _LARGEST), axes="xy")
     except InputError as error:

@@ -3,6 +3,7 @@ at once."""
 
 import copy
 import math
+import os
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -105,7 +106,8 @@ class Scene(SceneData):
         full = to_toml(self, lambda head, table: defaults(self, head, table))
         try:
             text = completed(self.text, full) if self.text else full
-            return text if Scene.from_text(text, self.name) == self else full
+            nowhere = Path(os.devnull) / self.name  # a file with a relative name is not found there
+            return text if Scene.from_text(text, str(nowhere)) == self else full
         except (TOMLKitError, SceneError, ValueError):  # a form of TOML to which keys cannot be added
             return full
 

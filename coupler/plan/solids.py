@@ -1,6 +1,7 @@
 """Particle shapes from files. Each file is read, cleaned and checked only once."""
 
 import glob
+import os
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -76,6 +77,6 @@ def with_folders(raw: dict[str, object], source: str) -> None:
         if not isinstance(name, str) or len(name) >= 4096 or "\0" in name:
             continue
         if key == "files":
-            table[key] = str(Path(glob.escape(str(folder.absolute()))) / name)
+            table[key] = str(Path(glob.escape(str(folder.absolute()))) / os.path.expanduser(name))
         elif key == "file" or name.lower().endswith(TABLES):
-            table[key] = str((folder / Path(name).expanduser()).absolute())
+            table[key] = str((folder / os.path.expanduser(name)).absolute())

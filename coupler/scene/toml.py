@@ -10,7 +10,7 @@ from typing import Any
 import tomlkit
 from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT, Comment, InlineTable, Table, Whitespace
+from tomlkit.items import AoT, Array, Comment, InlineTable, Table, Whitespace
 
 from .. import units
 from .model import SceneData
@@ -85,6 +85,9 @@ def _fill(own: Container, full: Container) -> None:
         elif isinstance(item, AoT) and isinstance(own[key.key], AoT):
             for each, whole in zip(own[key.key].body, item.body, strict=True):
                 _fill(each.value, whole.value)
+        elif isinstance(item, Array) and isinstance(own[key.key], AoT):
+            for each, whole in zip(own[key.key].body, item, strict=True):
+                each.update({name: value for name, value in whole.items() if _is_file(name, value)})
     own.body.extend(reversed(spaces))
 
 

@@ -271,6 +271,15 @@ def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None
     assert bond.damage[0] == damage
 
 
+def test_surfaces_that_only_touch_meet_where_they_did(pair: Blocks) -> None:
+    """A bond that is broken from the start bears nothing while it is open, also when it closes again."""
+    bond, up = cohesive(pair), np.array([0, 0, 1.0])
+    bond.damage[:] = 1.0
+    force = pull(pair, bond, np.array([1e-8, 5e-9, -1e-8])[:, None] * up)[:, 2]
+    assert force[:2] == pytest.approx(0.0, abs=1e-12 * force[2])
+    assert force[2] == pytest.approx(bond.stiffness[0] * SIDE**2 * 1e-8, rel=1e-6)
+
+
 def test_a_mass_that_swings_on_a_bond_comes_to_rest(pair: Blocks) -> None:
     """With half the fracture energy it stops in the first swing, but for the elastic energy (1 - D)^2 N^2 / 2 k per area."""
     bond = cohesive(pair)

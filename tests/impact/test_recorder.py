@@ -15,7 +15,7 @@ def test_nodes_have_the_law_of_their_bonds_before_damage() -> None:
     bond = pair.tie(strength=1e8, energy=0.5, shear_strength=4e7, shear_energy=0.2)
     bond.damage[:2] = 0.5, 1.0
     bodies = cast(Any, SimpleNamespace(target=pair.target, bond=bond, contact=None))
-    fields = joint_fields(bodies)
+    fields = joint_fields(bodies, True)
     whole = np.delete(bond.nodes, 1)
     assert set(np.flatnonzero(fields["bonded"])) == set(whole)
     assert fields["bonded"][bond.nodes[0]] == 0.5
@@ -23,11 +23,11 @@ def test_nodes_have_the_law_of_their_bonds_before_damage() -> None:
     np.testing.assert_allclose(fields["bond_energy"][whole], np.tile([0.5, 0.2], (len(whole), 1)))
     assert not fields["bond_strength"][bond.nodes[1]].any()
     bond.strength[2:4], bond.energy[2:4] = np.inf, np.inf  # tied, as layers and cores are
-    tied = joint_fields(bodies)
+    tied = joint_fields(bodies, True)
     assert not tied["bond_strength"][bond.nodes[2:4]].any()
     assert tied["bond_strength"][bond.nodes[4], 0] == 1e8
     bodies.bond = pair.tie()
-    assert set(joint_fields(bodies)) == {"bonded", "touching"}
+    assert set(joint_fields(bodies, False)) == {"bonded", "touching"}
 
 
 def test_the_rim_is_that_of_the_target_not_of_the_refined_part() -> None:

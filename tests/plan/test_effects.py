@@ -154,7 +154,7 @@ def test_warnings_name_the_limit_that_was_left() -> None:
 
     nickel, steel = material("Ni"), material("SS304")
     laws = law.law_record(nickel), np.concatenate([law.law_record(steel), law.law_record(material("Al"))])
-    seen = Extremes()
+    seen, steel_alone, both = Extremes(), np.array([True, False]), np.array([True, True])
     one = np.ones(200)
 
     def holding(**state: np.ndarray) -> SimpleNamespace:
@@ -167,11 +167,11 @@ def test_warnings_name_the_limit_that_was_left() -> None:
 
     at_rest = {"rate": 0.0 * one, "T": 300.0 * one, "J": one, "eps_p": 0.0 * one}
     calm = holding(**at_rest)
-    seen.note(calm, calm, steel)
+    seen.note(calm, calm, steel_alone)
     assert seen.warnings(1, {"particle": nickel, "target": steel}, True) == []
     wild = holding(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one, eps_p=one)
-    seen.note(wild, calm, steel)
-    seen.note(calm, calm, steel)  # what was stays
+    seen.note(wild, calm, steel_alone)
+    seen.note(calm, calm, steel_alone)  # what was stays
     (line,) = seen.warnings(2, {"particle": nickel, "target": steel}, True)
     assert line.startswith("impact 2: beyond the fitted range: particle (Ni, ")
     assert "strain rate 3.0e+07 1/s (99th percentile; fitted up to 1e+04)" in line
@@ -179,10 +179,10 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     assert "target" not in line
     splat = Extremes()  # of aluminium on steel: it counted in its own impact
     hot = holding(**at_rest | {"T": np.where(np.arange(200) > 190, 0.97 * material("Al").T_m, 300.0)})
-    splat.note(calm, hot, steel)
+    splat.note(calm, hot, steel_alone)
     assert splat.warnings(1, {"particle": nickel, "target": steel}, True) == []
-    splat.note(calm, hot, material("Al"))
-    assert "0.97 of the melting point" in splat.warnings(1, {"particle": nickel, "target": material("Al")}, True)[0]
+    splat.note(calm, hot, both)  # a layer
+    assert "0.97 of the melting point" in splat.warnings(1, {"particle": nickel, "target": steel}, True)[0]
     # a linear equation of state is 5 % short at that compression
     linear = greatest_compression(nickel, False)
     assert pressure(nickel, linear) / (nickel.K * linear) == pytest.approx(1.05, abs=0.004)

@@ -289,13 +289,15 @@ def test_a_core_that_cannot_be_is_refused(core: dict[str, object], more: dict[st
     assert told in problem
 
 
-def test_files_of_a_coating_are_found_from_any_folder(tmp_path: Path) -> None:
+def test_files_of_a_coating_are_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The written scene has absolute names: other seeds of it are drawn in another folder."""
     name = "15-45um.csv"  # no range of sieves
     (tmp_path / "lab[1]").mkdir()
     (tmp_path / "lab[1]" / name).write_text("# size (um), volume %\n15, 30\n20, 40\n25, 30\n30, 0\n")
     text = BLEND.replace('sizes = "15-25 um"', f'sizes = "{name}"')
     scene = Scene.from_text(text, str(tmp_path / "lab[1]" / "scene.toml"))
+    monkeypatch.chdir(tmp_path / "lab[1]")
+    assert "[[coating.powder]]" in scene.to_toml()  # with the user's own form
     elsewhere = Scene.from_text(scene.to_toml(), str(tmp_path / "run" / "scene.toml"))
     assert [p.diameter for p in elsewhere.with_(particle=None).particles] == [p.diameter for p in scene.particles]
     ball = "solid a\nendsolid a\n"
