@@ -5,6 +5,8 @@ import os
 
 # environment variables in which launchers of MPI give the rank of a process
 _RANK = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK")
+# and the number of ranks
+_SIZE = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
 def is_first_rank() -> bool:
@@ -13,8 +15,8 @@ def is_first_rank() -> bool:
 
 
 def is_only_process() -> bool:
-    """Whether no launcher of MPI has started this process."""
-    return not any(name in os.environ for name in _RANK)
+    """Whether no launcher of MPI has started other processes of this run."""
+    return is_first_rank() and all(os.environ.get(name, "1") == "1" for name in _SIZE)
 
 
 class ColdsprayError(Exception):

@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ColdsprayError, SceneError
+from ..errors import ColdsprayError, SceneError, is_only_process
 from ..studies.table import write_rows
 from . import arguments as options
 from .arguments import Commands, Option
@@ -90,11 +90,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     from ..plan.text import duration
 
     limit = options.quantity("--within", "time")(within) if within else math.inf
-    if within:
-        from ..ranks.ranks import arrange
-
-        if arrange().size > 1:
-            raise ColdsprayError("--within is for one process: under mpiexec give resolution.spacing, or --accuracy")
+    if within and not is_only_process():
+        raise ColdsprayError("--within is for one process: under mpiexec give resolution.spacing, or --accuracy")
     asked = options.share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]

@@ -154,7 +154,8 @@ def _unnamed(columns: Columns, axes: str) -> tuple[dict[str, NDArray[np.float64]
     places = list(columns)
     values = columns[places[0]]
     count = len(axes)
-    if len(places) > count and len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
+    counted = len(values) >= _COUNTED and bool(np.all(np.diff(values) == 1.0))
+    if counted and not (axes == "xy" and len(places) == count):  # sizes can be 1 um apart
         places = places[1:]
     if len(places) < count:
         raise ValueError(f"the table needs {_listed(axes, 'columns')}, besides a column of line numbers")

@@ -188,3 +188,10 @@ def test_numbers_of_points_that_a_scene_refuses_are_not_chosen():
         refinement.at_points(porous, 300)
     made, _ = command.chosen(porous, None, "60%")
     assert made.derived.points > 300
+
+
+def test_ranks_of_one_run_do_not_choose_its_resolution_each_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their machines can differ in speed, and the plans of one run must not."""
+    monkeypatch.setenv("PMI_SIZE", "2")
+    with pytest.raises(ColdsprayError, match="--within is for one process"):
+        command.chosen(scene_with(), "60s", None)
