@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -19,7 +19,7 @@ from ..files import checkpoint
 from ..files.inputs import last_lines, leaves, parse_toml, read_text, reading
 from ..files.outputs import kind_of, write_text
 from ..files.result import Result
-from ..files.store import lock_folder
+from ..files.store import locked
 from ..report.words import title, verdict
 from ..studies.pace import Pace
 
@@ -212,17 +212,14 @@ class Workspace:
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Context in which no process computes in a folder. Raises StoreError if one does, which this page has not started."""
-    try:
-        lock = lock_folder(folder)
-    except StoreError:
-        raise StoreError(
-            f"{folder.name} is computed by a process that was not started here: stop it where it runs"
-        ) from None
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder))
+        except StoreError:
+            raise StoreError(
+                f"{folder.name} is computed by a process that was not started here: stop it where it runs"
+            ) from None
         yield
-    finally:
-        if lock is not None:
-            os.close(lock)
 
 
 def _is_ours(folder: Path) -> bool:

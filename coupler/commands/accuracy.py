@@ -110,9 +110,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     while fine < MOST and not is_allowed(fine):
         fine = min(2 * fine, MOST)
     between = range(max(coarsest, fine // 2), fine + 1)
-    coarsest = (
-        between[min(bisect_left(between, True, key=is_allowed), len(between) - 1)] if is_allowed(fine) else coarsest
-    )
+    if is_allowed(fine):
+        coarsest = between[bisect_left(between, True, key=is_allowed)]
 
     def time_of(points: int) -> float:
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0

@@ -96,6 +96,7 @@ def _fork(call: bytes, name: str, time_limit: float) -> int:
 
 
 def _compute(call: bytes, folder: Path, time_limit: float) -> NoReturn:
+    """Write the result of the call, and what it prints, to the folder, and end this process; time_limit s."""
     signal.setitimer(signal.ITIMER_REAL, time_limit)  # its signal ends the process, also inside gmsh
     code = 1
     try:

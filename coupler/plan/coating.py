@@ -99,11 +99,8 @@ def expand(raw: dict[str, object], folder: Path, catalogue: Mapping[str, Materia
 def _fed(powder: PowderTable, folder: Path, catalogue: Mapping[str, Material]) -> Fed:
     """A powder with its files. folder: folder to which their names are relative. Raises ValueError; the message begins with the name
     of the field."""
-    files = (
-        sorted(map(Path, glob.glob(str(folder / os.path.expanduser(powder.files)), recursive=True)))
-        if powder.files
-        else []
-    )
+    pattern = str(folder / os.path.expanduser(powder.files or ""))
+    files = sorted(map(Path, glob.glob(pattern, recursive=True))) if powder.files else []
     named = {"material": powder.material} | ({"core.material": powder.core.material} if powder.core else {})
     for key, name in named.items():
         if name not in catalogue:

@@ -59,19 +59,12 @@ def with_folders(raw: dict[str, object], source: str) -> None:
     def table_of(value: object) -> dict[str, object]:
         return value if isinstance(value, dict) else {}
 
-    folder, coating, several = (
-        Path(source).parent,
-        table_of(raw.get("coating")),
-        table_of(raw.get("coating")).get("powder"),
-    )
-    powders = [coating, *map(table_of, several if isinstance(several, list) else [several])]
-    each = [
-        (table, "file") for table in (*particle_tables(raw), table_of(table_of(raw.get("substrate")).get("height_map")))
-    ]
-    each += [
-        (table_of(raw.get("spray")), "distribution"),
-        *((table, key) for table in powders for key in ("files", "sizes")),
-    ]
+    folder, coating, substrate = Path(source).parent, table_of(raw.get("coating")), table_of(raw.get("substrate"))
+    powder = coating.get("powder")
+    powders = [coating, *map(table_of, powder if isinstance(powder, list) else [powder])]
+    each = [(table, "file") for table in (*particle_tables(raw), table_of(substrate.get("height_map")))]
+    each += [(table, key) for table in powders for key in ("files", "sizes")]
+    each.append((table_of(raw.get("spray")), "distribution"))
     for table, key in each:
         name = table.get(key)
         if not isinstance(name, str) or len(name) >= 4096 or "\0" in name:
